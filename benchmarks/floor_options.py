@@ -93,6 +93,14 @@ _STREAMED: dict[str, tuple[tuple[str, float], ...]] = {
     "scale_frames": (("blocks", 2),),
     "largest_steps": (("before_in", 1), ("now_in", 1), ("component_in", 1)),
     "longest_edges": (("position_in", 1), ("corner_vertex_in", 1), ("squared_out", 1)),
+    "sum_lengths": (("squared_in", 1),),
+    "scale_sum": (("total_in", 1),),
+    "mark_longer": (("squared_in", 1), ("is_longer_out", 1)),
+    # Of many faces few are listed.
+    "list_longer": (("before_in", 1), ("face_out", 1)),
+    "leave_out_others": (("within", 1),),
+    "largest_of_points": (("squared_in", 1), ("squared_out", 1)),
+    "rows_of_corners": (("corner_in", 1), ("row_out", 1)),
     "find_partners": (
         ("source.points", 1),
         ("start_in", 1),
@@ -147,11 +155,9 @@ _STREAMED: dict[str, tuple[tuple[str, float], ...]] = {
     "move_by_corrections": (("points_in", 1), ("points_out", 1), ("correction_in", 1)),
     # What is written are as many blocks as are read.
     "hold_elements": (("diagonal_in", 2), ("share_in", 1), ("hold_in", 1), ("corner_vertex_in", 1)),
-    "mark_border": (("opposite_in", 1), ("is_border_out", 1)),
-    # A look at every half-edge; few are listed.
-    "list_border": (("opposite_in", 1), ("half_edge_out", 2)),
     "mark_long_corrections": (("correction_in", 1), ("marked_out", 1)),
     "sum_face_sizes": (("points_in", 1), ("corner_vertex_in", 1), ("sum_out", 1)),
+    "weigh_sizes": (("sum_in", 1), ("size_out", 1)),
     "raise_holds": (("marked_in", 1),),
     "take_held": (("held_in", 1), ("solution_in", 1), ("correction", 1)),
     "scale_corrections": (("factor_in", 1), ("correction", 2)),

@@ -15,6 +15,10 @@ def _measure_bounds(a: Arguments) -> Demand:
     return Demand(size_of(a["points_in"]) + size_of(a["used_in"]), 6 * a["points_in"].size)
 
 
+def _compare_frames(a: Arguments) -> Demand:
+    return Demand(size_of(a["bounds_in"]) + size_of(a["scale_out"]))
+
+
 def _subtract_origin(a: Arguments) -> Demand:
     return Demand(size_of(a["points_in"]) + size_of(a["points_out"]), 3 * a["points_in"].size)
 
@@ -97,6 +101,22 @@ def _sum_stiffness(a: Arguments) -> Demand:
     return Demand(moved, 5 * a["error_in"].size + a["area_in"].size)
 
 
+def _choose_alone(a: Arguments) -> Demand:
+    return Demand(size_of(a["sum_in"]) / 2 + 2 * size_of(a["chosen_out"]), a["sum_in"].size / 2)
+
+
+def _sum_choices(a: Arguments) -> Demand:
+    return Demand(size_of(a["sum_in"]) + size_of(a["chosen_in"]) + size_of(a["total_out"]), a["sum_in"].size)
+
+
+def _choose_together(a: Arguments) -> Demand:
+    return Demand(size_of(a["total_in"]), a["total_in"].size)
+
+
+def _take_choices(a: Arguments) -> Demand:
+    return Demand(3 * size_of(a["chosen_in"]))
+
+
 def _finish_anchors(a: Arguments) -> Demand:
     members = int(a["start_in"].numpy()[-1] - a["start_in"].numpy()[0])
     return Demand(members * INT + 4 * size_of(a["heaviest_out"]))
@@ -115,6 +135,7 @@ PLACE_MODELS: dict[str, Callable[[Arguments], Demand]] = {
     model.__name__.removeprefix("_"): model
     for model in (
         _measure_bounds,
+        _compare_frames,
         _subtract_origin,
         _mark_used_vertices,
         _key_collapses,
@@ -130,6 +151,10 @@ PLACE_MODELS: dict[str, Callable[[Arguments], Demand]] = {
         _keep_within_reach,
         _measure_stiffness,
         _sum_stiffness,
+        _choose_alone,
+        _sum_choices,
+        _choose_together,
+        _take_choices,
         _finish_anchors,
         _label_corners,
         _gather_corners,

@@ -47,7 +47,11 @@ _STREAMED: dict[str, tuple[tuple[str, float], ...]] = {
     "mark_constrained": (("border_in", 1), ("seam_in", 1), ("constrained_out", 1), ("is_constrained_out", 1)),
     "list_constrained": (("constrained_in", 1), ("edge_out", 2)),
     "mark_faces_left": (("corner_vertex_in", 1), ("root_in", 1), ("vertex_drop_in", 1), ("is_left_out", 1)),
-    "list_faces_left": (("before_in", 1), ("row_out", 2)),
+    "begin_roots": (("parent_out", 1),),
+    "link_collapses": (("values_in", 0.5),),
+    "follow_collapses": (("parent_in", 1), ("root_out", 1)),
+    "drop_unfit_faces": (("corner_vertex_in", 1), ("corner_vertex_out", 1)),
+    "list_faces_left": (("before_in", 1), ("face_out", 1)),
 }
 
 

@@ -32,9 +32,12 @@ def list_constrained(
     # out
     edge_out: wp.array[wp.vec4i],
 ):
-    """Half-edge, what it is, and its ends, ascending; ``before_in`` counts those up to each half-edge, itself too."""
+    """Half-edge, what it is, and its ends, ascending, as far as there is room.
+
+    ``before_in`` counts those up to each half-edge, itself too.
+    """
     h = wp.tid()
-    if constrained_in[h] != 0:
+    if constrained_in[h] != 0 and before_in[h] <= edge_out.shape[0]:
         edge_out[before_in[h] - 1] = wp.vec4i(
             h, constrained_in[h], corner_vertex_in[h], corner_vertex_in[next_corner(h)]
         )

@@ -31,13 +31,11 @@ def mark_faces_left(
 @wp.kernel
 def list_faces_left(
     # in
-    corner_vertex_in: wp.array[wp.int32],
-    root_in: wp.array[wp.int32],
     before_in: wp.array[wp.int32],
     # out
-    row_out: wp.array[wp.vec4i],
+    face_out: wp.array[wp.int32],
 ):
-    """How many faces are left, then each of them, as far as there is room, and the roots of its corners.
+    """How many faces are left, then each of them, as far as there is room.
 
     ``before_in`` counts those up to each face, itself too.
     """
@@ -46,9 +44,7 @@ def list_faces_left(
     if f > 0:
         before = before_in[f - 1]
     place = before_in[f]
-    if place > before and place < row_out.shape[0]:
-        a = root_in[corner_vertex_in[3 * f]]
-        b = root_in[corner_vertex_in[3 * f + 1]]
-        row_out[place] = wp.vec4i(f, a, b, root_in[corner_vertex_in[3 * f + 2]])
+    if place > before and place < face_out.shape[0]:
+        face_out[place] = f
     if f == before_in.shape[0] - 1:
-        row_out[0] = wp.vec4i(place, 0, 0, 0)
+        face_out[0] = place

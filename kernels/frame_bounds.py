@@ -40,3 +40,29 @@ def measure_bounds(
             wp.atomic_max(bounds, t, 3 + k, high[k])
     if not finite:
         bounds[t, 6] = 1.0
+
+
+@wp.kernel
+def compare_frames(
+    # in
+    bounds_in: wp.array2d[wp.float32],
+    smallest: wp.float32,
+    # out
+    scale_out: wp.array[wp.float32],
+):
+    """One thread: by how much frames (F,) are smaller than the largest one, by their diagonals.
+
+    None counts as smaller than a part of it.
+    """
+    largest = wp.float32(0.0)
+    for t in range(bounds_in.shape[0]):
+        extent = wp.vec3()
+        for k in range(3):
+            extent[k] = bounds_in[t, 3 + k] - bounds_in[t, k]
+        scale_out[t] = wp.length(extent)
+        largest = wp.max(largest, scale_out[t])
+    for t in range(bounds_in.shape[0]):
+        if largest > 0.0:
+            scale_out[t] = largest / wp.max(scale_out[t], smallest * largest)
+        else:
+            scale_out[t] = 1.0

@@ -127,13 +127,13 @@ def move_by_corrections(
 def mark_long_corrections(
     # in
     correction_in: wp.array[wp.vec3],
-    largest_squared: wp.float32,
+    largest_squared_in: wp.array[wp.float32],
     # out
     marked_out: wp.array[wp.int32],
 ):
-    """1 at vertices (C,) that go further than a length, given squared."""
+    """1 at vertices (C,) that go further than a length, given squared in (n,), first of all."""
     v = wp.tid()
-    marked_out[v] = wp.where(wp.length_sq(correction_in[v]) > largest_squared, 1, 0)
+    marked_out[v] = wp.where(wp.length_sq(correction_in[v]) > largest_squared_in[0], 1, 0)
 
 
 @wp.kernel

@@ -18,6 +18,17 @@ wp.set_module_options({"enable_backward": False})  # no gradients are taken
 # The edge term weighs 1 / length^4; edges shorter than 3 % of the mean count as that long.
 SHORTEST_SQUARED = wp.constant(wp.float32(1.0e-3))
 
+# What is known of the sizes of an output, as float32 of one array: the mean squared length of its edges, what pairs of
+# the input weigh, those of the output, and edges; the mass of a unit of area; how wide borders and seams count.
+EDGE_SQUARED = wp.constant(wp.int32(0))
+INPUT_WEIGHT = wp.constant(wp.int32(1))
+OUTPUT_WEIGHT = wp.constant(wp.int32(2))
+EDGE_WEIGHT = wp.constant(wp.int32(3))
+MASS = wp.constant(wp.int32(4))
+BORDER_WIDTH = wp.constant(wp.int32(5))
+SEAM_WIDTH = wp.constant(wp.int32(6))
+SIZES = wp.constant(wp.int32(7))
+
 # Keeps the matrix of a vertex without pairs from being singular (weights are of order one).
 MIN_STIFFNESS = wp.constant(wp.float32(1.0e-6))
 
@@ -90,9 +101,7 @@ def assemble_elements(
     input_start_in: wp.array[wp.int32],
     input_order_in: wp.array[wp.int32],
     output_pairs: Pairs,
-    weights: wp.vec3,
-    mean_edge_squared: wp.float32,
-    mass: wp.float32,
+    sizes_in: wp.array[wp.float32],
     points_in: wp.array2d[wp.vec3],
     frame_in: wp.array2d[wp.mat33],
     correction_in: wp.array[wp.vec3],
@@ -103,20 +112,23 @@ def assemble_elements(
     share_out: wp.array[wp.float32],
     right_out: wp.array[wp.vec3],
 ):
-    """The nine blocks and three right sides of each face; ``weights`` scale input pairs, output pairs and edges.
+    """The nine blocks and three right sides of each face; ``sizes_in`` (SIZES,) says what pairs and edges weigh.
 
     Those on the diagonal stand apart, as how far vertices are held is added to them (:func:`hold_elements`), by the
-    share of the area that a corner of the face has; all pairs of a unit of area weigh ``mass``.
+    share of the area that a corner of the face has; all pairs of a unit of area weigh its mass.
     """
     f = wp.tid()
     v = wp.vec3i(corner_vertex_in[3 * f], corner_vertex_in[3 * f + 1], corner_vertex_in[3 * f + 2])
     e = Element()
+    input_weight = sizes_in[INPUT_WEIGHT]
+    output_weight = sizes_in[OUTPUT_WEIGHT]
+    mean_edge_squared = sizes_in[EDGE_SQUARED]
     for k in range(input_start_in[f], input_start_in[f + 1]):
-        e = include_pair(e, input_pairs, input_order_in[k], weights[0], v, frame_in, correction_in, doubt)
+        e = include_pair(e, input_pairs, input_order_in[k], input_weight, v, frame_in, correction_in, doubt)
     per_face = output_pairs.face.shape[0] / (corner_vertex_in.shape[0] / 3)
     for i in range(f * per_face, (f + 1) * per_face):
         if output_pairs.face[i] >= 0:
-            e = include_pair(e, output_pairs, i, weights[1], v, frame_in, correction_in, doubt)
+            e = include_pair(e, output_pairs, i, output_weight, v, frame_in, correction_in, doubt)
     none = wp.vec3()
     area = wp.float32(0.0)
     for t in range(points_in.shape[0]):
@@ -128,7 +140,7 @@ def assemble_elements(
             b = v[(k + 1) % 3]
             d = points_in[t, a] - points_in[t, b]
             squared = wp.max(wp.dot(d, d), SHORTEST_SQUARED * mean_edge_squared)
-            weight = weights[2] * mean_edge_squared / (squared * squared)
+            weight = sizes_in[EDGE_WEIGHT] * mean_edge_squared / (squared * squared)
             # d . (R_a c_a - R_b c_b): how much longer the edge gets, times its length.
             ja = wp.transpose(frame_in[t, a]) * d
             jb = -(wp.transpose(frame_in[t, b]) * d)
@@ -139,7 +151,7 @@ def assemble_elements(
             else:
                 e = include_row(e, jb, none, ja, 0.0, weight)
     # By area and not by the pairs found: where there is none, the regularisation alone determines a vertex.
-    share_out[f] = area * mass / (3.0 * wp.float32(points_in.shape[0]))
+    share_out[f] = area * sizes_in[MASS] / (3.0 * wp.float32(points_in.shape[0]))
     diagonal_out[f, 0] = e.m00
     diagonal_out[f, 1] = e.m11
     diagonal_out[f, 2] = e.m22
@@ -234,3 +246,52 @@ def sum_face_sizes(
             squared += wp.float64(wp.length_sq(ab)) + wp.float64(wp.length_sq(ac)) + wp.float64(wp.length_sq(ac - ab))
     sum_out[first, 0] = area
     sum_out[first, 1] = squared
+
+
+@wp.struct
+class SizeShares:
+    """What sizes come to, see :mod:`warpqem.refit.scales`."""
+
+    vertex_count: wp.float64
+    turns: wp.float64
+    output_share: wp.float64
+    edge_weight: wp.float64
+    border_width: wp.float64
+    seam_width: wp.float64
+
+
+@wp.kernel
+def weigh_sizes(
+    # in
+    sum_in: wp.array2d[wp.float64],
+    frame_count: wp.float64,
+    edge_count: wp.float64,
+    shares: SizeShares,
+    # out
+    size_out: wp.array[wp.float32],
+    has_area_out: wp.array[wp.int32],
+):
+    """One thread: add the sums (n, 2) of areas and squared edges in order; without an area all that weighs is 0."""
+    area = wp.float64(0.0)
+    squared = wp.float64(0.0)
+    for i in range(sum_in.shape[0]):
+        area += sum_in[i, 0]
+        squared += sum_in[i, 1]
+    area = area / frame_count
+    squared = squared / (frame_count * edge_count)
+    for i in range(SIZES):
+        size_out[i] = wp.float32(0.0)
+    has_area_out[0] = 0
+    # No length is compared with zero, nor divided by it.
+    size_out[EDGE_SQUARED] = wp.float32(1.0)
+    if area > wp.float64(0.0):
+        unit = shares.vertex_count / (area * shares.turns)
+        length = wp.sqrt(squared)
+        size_out[EDGE_SQUARED] = wp.float32(squared)
+        size_out[INPUT_WEIGHT] = wp.float32(unit)
+        size_out[OUTPUT_WEIGHT] = wp.float32(shares.output_share * unit)
+        size_out[EDGE_WEIGHT] = wp.float32(shares.edge_weight)
+        size_out[MASS] = wp.float32((wp.float64(1.0) + shares.output_share) * shares.turns * unit)
+        size_out[BORDER_WIDTH] = wp.float32(shares.border_width * length)
+        size_out[SEAM_WIDTH] = wp.float32(shares.seam_width * length)
+        has_area_out[0] = 1

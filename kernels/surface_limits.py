@@ -261,15 +261,19 @@ def update_distances(
 class PlacesOfVertices:
     """Places, each of them some points, with the output vertices that it belongs to."""
 
-    vertex: wp.array2d[wp.int32]  # (n, 1) or (n, 3)
+    vertex: wp.array2d[wp.int32]  # (n, 1) or (n, 3); negative for no place
     points: wp.int32  # of each place
     component: wp.array[wp.int32]  # (C,) of each output vertex
 
 
 @wp.func
 def place_component(places: PlacesOfVertices, i: wp.int32) -> wp.int32:
-    """The component that the ``i``-th point is held to."""
-    return places.component[places.vertex[i / places.points, 0]]
+    """The component that the ``i``-th point is held to; -1 for none."""
+    vertex = places.vertex[i / places.points, 0]
+    component = wp.int32(-1)
+    if vertex >= 0:
+        component = places.component[vertex]
+    return component
 
 
 @wp.kernel
@@ -300,10 +304,13 @@ def gather_limits(
     """The squared limit of each point: ``growth`` times the distance of its component.
 
     ``most`` (n,), what each is away at most, squared, grows by how far vertices of the component have gone. Points that
-    are within their limit by that get a negative one.
+    are within their limit by that, or of no place, get a negative one.
     """
     i = wp.tid()
     component = place_component(places, i)
+    if component < 0:
+        squared_out[i] = -1.0
+        return
     limit = growth * wp.sqrt(own_squared_in[component])
     most[i] = most_squared(most[i], step_in[component])
     squared_out[i] = wp.where(most[i] > limit * limit, limit * limit, -1.0)
@@ -320,7 +327,7 @@ def raise_own_limits(
     """Raise the limit of each component to the largest squared distance of its points."""
     i = wp.tid()
     component = place_component(places, i)
-    if squared_in[i] > own_squared[component]:
+    if component >= 0 and squared_in[i] > own_squared[component]:
         wp.atomic_max(own_squared, component, squared_in[i])
 
 

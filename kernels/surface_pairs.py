@@ -344,7 +344,8 @@ def match_line_samples(
     half_edge_in: wp.array[wp.int32],
     start_in: wp.array[wp.int32],
     per_edge: wp.int32,
-    width: wp.float32,
+    width_in: wp.array[wp.float32],
+    width_index: wp.int32,
     first_pair: wp.int32,
     # out
     pairs: Pairs,
@@ -352,7 +353,8 @@ def match_line_samples(
     """Pair points of border edges of one surface with the border of the other, each point in two pairs.
 
     Where ``on_seams`` is 1, of seam edges with seams, which run either way. A point stands for its part of the edge's
-    length, times ``width``. ``start_in`` is a vertex of the fixed surface near each vertex of the moving one.
+    length, times a width of ``width_in``. ``start_in`` is a vertex of the fixed surface near each vertex of the moving
+    one.
     """
     t = own_key(turns, wp.tid())
     own = own_pair(turns, t, wp.tid())
@@ -378,7 +380,7 @@ def match_line_samples(
     if along_both < SAME_SIDE:
         return
     offset = c + hit.along * (d - c) - x
-    weight = width * wp.length(b - a) / wp.float32(per_edge)
+    weight = width_in[width_index] * wp.length(b - a) / wp.float32(per_edge)
     if moving_is_output == 1:
         store_line_pair(pairs, i, t, moving, h, along, offset, weight)
     else:

@@ -71,32 +71,6 @@ def link_half_edges(
         wp.atomic_max(border_in, v, h)
 
 
-@wp.kernel
-def mark_border(
-    # in
-    opposite_in: wp.array[wp.int32],
-    # out
-    is_border_out: wp.array[wp.int32],
-):
-    """1 at half-edges (3N,) without an opposite one."""
-    h = wp.tid()
-    is_border_out[h] = wp.where(opposite_in[h] < 0, 1, 0)
-
-
-@wp.kernel
-def list_border(
-    # in
-    opposite_in: wp.array[wp.int32],
-    before_in: wp.array[wp.int32],
-    # out
-    half_edge_out: wp.array[wp.int32],
-):
-    """These half-edges, ascending; ``before_in`` counts those up to each half-edge, itself too."""
-    h = wp.tid()
-    if opposite_in[h] < 0:
-        half_edge_out[before_in[h] - 1] = h
-
-
 @wp.func
 def surface_point(s: Surface, t: wp.int32, face: wp.int32, barycentric: wp.vec3) -> wp.vec3:
     """The point of a face in frame ``t``."""

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ from pxr import Usd, UsdGeom
 import warpqem
 from tests.support.batch_traps import TrapOptions
 from tests.support.usd_stages import cloth_stage
+from warpqem.batching import local_engine, perform_job
 from warpqem.batching.engine import Progressed, Started
 from warpqem.batching.job_result import BatchResult
 from warpqem.batching.local_engine import LocalEngine
@@ -143,6 +145,32 @@ def test_engine_refuses_values_out_of_range(value):
 
 def test_there_are_no_more_workers_than_assets():
     assert [LocalEngine(4).worker_count(count, ["cpu"]) for count in (2, 6)] == [2, 4]
+
+
+@pytest.mark.parametrize(
+    ("cores", "devices", "expected"),
+    [(16, 1, 4), (16, 2, 8), (2, 1, 2), (1, 1, 1), (2, 4, 4), (64, 8, 32)],
+)
+def test_a_gpu_has_some_workers_but_no_more_than_there_are_cores(cores, devices, expected, monkeypatch):
+    monkeypatch.setattr(local_engine, "thread_count", lambda _: cores)
+    named = [f"cuda:{number}" for number in range(devices)]
+    assert LocalEngine().worker_count(100, named) == expected
+    assert LocalEngine().worker_count(1, named) == 1
+    assert LocalEngine(workers=3).worker_count(100, named) == 3
+
+
+@pytest.mark.parametrize(("workers", "devices", "sharing"), [(4, 1, 4), (8, 2, 4), (3, 2, 2), (2, 4, 1)])
+def test_workers_know_how_many_share_their_device(workers, devices, sharing):
+    assert LocalEngine(memory="1G").setup(workers, "cuda:1", "out.txt", devices).sharing == sharing
+
+
+def test_workers_that_share_a_device_share_its_memory(monkeypatch):
+    monkeypatch.setattr(perform_job, "available_memory", lambda _: 1000)
+    own = replace(perform_job.device_traits("cpu"), own_memory=True)
+    for traits, sharing, expected in ((own, 4, 200), (own, 1, 800), (perform_job.device_traits("cpu"), 4, 800)):
+        monkeypatch.setattr(perform_job, "device_traits", lambda _, traits=traits: traits)
+        options = perform_job._with_defaults(SimplifyOptions(ratio=0.5), "cpu", 5000, sharing)
+        assert options.memory == expected
 
 
 def test_workers_that_cannot_start_end_the_batch(tmp_path, monkeypatch):

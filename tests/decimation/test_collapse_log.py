@@ -1,12 +1,22 @@
 """The collapse log, from the rows that threads left in any order within a round."""
 
+from dataclasses import fields
+
 import numpy as np
 import pytest
 import warp as wp
 from hypothesis import given
 from hypothesis import strategies as st
 
-from warpqem.decimation.collapse_log import RECENT, CollapseRecord, _order_by_sorts, _order_on_host, read_log
+from warpqem.decimation.collapse_log import (
+    RECENT,
+    CollapseRecord,
+    _order_by_sorts,
+    _order_on_host,
+    log_of,
+    ordered_log,
+    read_log,
+)
 
 VERTEX_COUNT = 300
 
@@ -53,6 +63,16 @@ def test_a_log_is_its_rows_in_order(count, device):
     squared = log.error.astype(np.float64) ** 2
     means = [squared[i - max(int(RECENT * i), 1) : i].mean() for i in range(1, count + 1)]
     np.testing.assert_allclose(log.recent_error, np.sqrt(means), rtol=1e-6)
+
+
+@pytest.mark.parametrize("spare", [0, 3, 40])
+@pytest.mark.parametrize("count", [0, 1, 17, 250])
+def test_a_log_that_is_read_before_its_length_is_known_is_the_same(count, spare, device):
+    rows = wp.array(log_rows(7, count), device=device)
+    there = wp.array([count], dtype=wp.int32, device=device)
+    log, expected = log_of(ordered_log(rows, there, count + spare).numpy(), count), read_log(rows, count)
+    for field in fields(CollapseRecord):
+        np.testing.assert_array_equal(getattr(log, field.name), getattr(expected, field.name))
 
 
 def test_a_log_without_collapses_is_empty(device):

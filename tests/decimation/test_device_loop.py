@@ -11,8 +11,10 @@ import warpqem
 import warpqem.runtime.device
 from tests.support import cuda_semantics, meshes
 from tests.support.mesh_state import build_mesh, cost_model
+from warpqem.decimation import left
 from warpqem.decimation.adjacency import build_adjacency
 from warpqem.decimation.device_loop import DeviceOrderer
+from warpqem.decimation.left import SPARE_ROOM, Left
 from warpqem.decimation.pass_steps import PassSteps
 from warpqem.decimation.passes import Orderer
 from warpqem.errors import UnreachableTargetError
@@ -184,9 +186,32 @@ def test_ordering_waits_for_the_device_once(monkeypatch):
         traffic.append(counts)
         return reason
 
+    reading = []
+    read = Left.read
+
+    def counted_read(self, *args):
+        with cuda_semantics.counted() as counts:
+            found = read(self, *args)
+        reading.append(counts)
+        return found
+
     monkeypatch.setattr(DeviceOrderer, "run", counted)
-    warpqem.simplify(*CLOSED, ratio=0.1, device="cpu")
+    monkeypatch.setattr(Left, "read", counted_read)
+    result = warpqem.simplify(*CLOSED, ratio=0.1, quality="fast", device="cpu")
     (counts,) = traffic
     assert counts.readbacks == 1
-    assert counts.values_read == 4
+    # Four numbers of the loop, and all of the log and the faces left: nothing more is asked for.
+    log_and_faces = 7 * (len(result.log) + SPARE_ROOM) + 1 + len(result.faces) + SPARE_ROOM
+    assert counts.values_read <= 4 + log_and_faces + 8
     assert counts.graph_launches == 1
+    assert reading[0].readbacks == 0
+
+
+@under_cuda_semantics
+def test_a_log_longer_than_was_expected_is_read_after_the_loop(monkeypatch):
+    expected = warpqem.simplify(*CLOSED, ratio=0.3, device="cpu")
+    monkeypatch.setattr(left, "SPARE_ROOM", -50)
+    found = warpqem.simplify(*CLOSED, ratio=0.3, device="cpu")
+    assert found.points.tobytes() == expected.points.tobytes()
+    np.testing.assert_array_equal(found.faces, expected.faces)
+    np.testing.assert_array_equal(found.log.removed, expected.log.removed)

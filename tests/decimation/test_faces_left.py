@@ -54,7 +54,7 @@ def collapse_log(faces_removed) -> CollapseRecord:
 )
 def test_faces_left_have_three_roots_and_were_not_pruned_whatever_the_log_counts(device, removed, root, dropped):
     root, dropped = np.array(root, dtype=np.int32), np.array(dropped)
-    faces, face_map = faces_left(corners_of(FACES, device), collapse_log(removed), root, record(dropped))
+    faces, face_map = faces_left(FACES, corners_of(FACES, device), collapse_log(removed), root, record(dropped))
     np.testing.assert_array_equal(face_map, expected_faces(root, dropped))
     np.testing.assert_array_equal(faces, root[FACES[face_map]])
 
@@ -63,6 +63,6 @@ def test_faces_left_have_three_roots_and_were_not_pruned_whatever_the_log_counts
 def test_all_or_none_may_be_left(left, device):
     root = np.arange(VERTEX_COUNT, dtype=np.int32) if left else np.zeros(VERTEX_COUNT, dtype=np.int32)
     log = collapse_log([] if left else [len(FACES)])
-    faces, face_map = faces_left(corners_of(FACES, device), log, root, DropRecord.none(VERTEX_COUNT))
+    faces, face_map = faces_left(FACES, corners_of(FACES, device), log, root, DropRecord.none(VERTEX_COUNT))
     assert faces.shape == (left, 3)
     assert face_map.tolist() == list(range(left))

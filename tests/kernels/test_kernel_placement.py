@@ -125,8 +125,9 @@ def measured(points, faces, clusters, device, choices=CHOICES) -> tuple[np.ndarr
     position = packed(points, device)
     clusters.stiffness = wp.full(1, EPSILON, dtype=wp.float32, device=device)
     data = ClusterData(wp.array(faces.ravel(), dtype=wp.int32, device=device), rows_of(clusters))
-    error, wander, area = BlockPlacer(data, device).measure_stiffness(position, len(points), choices[None])
-    return error[0], wander[0], float(area[0])
+    tried = wp.array(choices[None], dtype=wp.float32, device=device)
+    (sums,) = BlockPlacer(data, device).measure_stiffness(position, len(points), tried).numpy()
+    return sums[: len(choices)], sums[len(choices) : -1], float(sums[-1])
 
 
 def rows_of(clusters) -> dict[str, wp.array]:

@@ -192,7 +192,7 @@ def test_input_arrays_are_left_as_they_were(device):
 
 @pytest.mark.skipif("CUDA_SEMANTICS" not in os.environ, reason="needs CUDA_SEMANTICS")
 @pytest.mark.parametrize("name", ["sphere", "cloth"])
-@pytest.mark.parametrize(("quality", "most"), [("fast", 10), ("best", 16)])
+@pytest.mark.parametrize(("quality", "most"), [("fast", 5), ("best", 8)])
 def test_host_waits_for_a_gpu_a_few_times(quality, most, name):
     points, faces = {"sphere": SPHERE, "cloth": CLOTH}[name]
     with cuda_semantics.counted() as traffic:
@@ -201,8 +201,8 @@ def test_host_waits_for_a_gpu_a_few_times(quality, most, name):
 
 
 @pytest.mark.skipif("CUDA_SEMANTICS" not in os.environ, reason="needs CUDA_SEMANTICS")
-def test_host_waits_for_a_gpu_twice_in_a_round_of_an_exchange(monkeypatch):
-    # For the faces of a level, and how far it is; seven times more to begin with.
+def test_host_waits_for_a_gpu_once_in_a_round_of_an_exchange(monkeypatch):
+    # For how far a level is; once more to begin with.
     points, faces = SPHERE
     work = prepare(points, faces, read_keywords({"target_faces": 1000, "device": "cpu"}))
     ordered, rounds, finer = exchange.order_with_spare(work), [], exchange._Search._finer
@@ -212,4 +212,4 @@ def test_host_waits_for_a_gpu_twice_in_a_round_of_an_exchange(monkeypatch):
     with cuda_semantics.counted() as traffic:
         exchange.exchanged(work, ordered, 1000)
     assert len(rounds) > 2
-    assert traffic.readbacks <= 7 + 2 * len(rounds)
+    assert traffic.readbacks <= 1 + len(rounds)

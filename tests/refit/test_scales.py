@@ -8,23 +8,40 @@ import warp as wp
 
 from tests.support import meshes
 from warpqem.refit import scales
-from warpqem.refit.scales import Scales, frame_scale, read_scales
+from warpqem.refit.scales import FitSizes, Scales, frame_scale
+
+
+def sizes_of(given, faces, own_memory, device, monkeypatch) -> tuple[np.ndarray, int]:
+    """What the fit of a mesh weighs, (SIZES,), and whether it has an area, by kernels or on the host."""
+    traits = scales.device_traits(device)
+    with monkeypatch.context() as patch:
+        patch.setattr(scales, "device_traits", lambda _: replace(traits, own_memory=own_memory))
+        corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device)
+        found = FitSizes.of(given, faces, corner_vertex, vertex_count=given.shape[1], turns=3)
+    return found.values.numpy(), int(found.has_area.numpy()[0])
 
 
 @pytest.mark.parametrize("frame_count", [1, 5, 40])
 def test_sizes_of_faces_are_the_same_where_the_device_sums_them_wherever_frames_are(frame_count, device, monkeypatch):
     points, faces = meshes.swaying_sphere(2, frame_count)
-    corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device)
-    other = wp.array(np.arange(5), dtype=wp.int32, device=device)
-    there, traits = wp.array(points, dtype=wp.vec3, device=device), scales.device_traits(device)
-    found = {}
+    there, found = wp.array(points, dtype=wp.vec3, device=device), {}
     for own_memory in (False, True):
-        monkeypatch.setattr(scales, "device_traits", lambda _, own=own_memory: replace(traits, own_memory=own))
-        found[own_memory], again = (read_scales(given, faces, corner_vertex, other) for given in (points, there))
-        assert found[own_memory][0] == again[0]
-        assert found[own_memory][1].tolist() == again[1].tolist() == list(range(5))
-    (here, _), (summed, _) = found[False], found[True]
-    np.testing.assert_allclose([summed.area, summed.edge_squared], [here.area, here.edge_squared], rtol=1e-5)
+        found[own_memory], again = (
+            sizes_of(given, faces, own_memory, device, monkeypatch) for given in (points, there)
+        )
+        np.testing.assert_array_equal(found[own_memory][0], again[0])
+        assert found[own_memory][1] == again[1] == 1
+    np.testing.assert_allclose(found[True][0], found[False][0], rtol=1e-5)
+
+
+def test_faces_without_area_weigh_nothing(device, monkeypatch):
+    points, faces = meshes.swaying_sphere(2, 3)
+    points[..., 1:] = 0.0
+    values, has_area = sizes_of(points, faces, True, device, monkeypatch)
+    assert has_area == 0
+    assert values[0] == 1.0
+    assert not values[1:].any()
+    assert sizes_of(points, faces, False, device, monkeypatch)[1] == 0
 
 
 def test_an_equilateral_triangle_has_its_area_and_edge():

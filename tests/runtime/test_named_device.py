@@ -1,11 +1,31 @@
 """Work goes to the device that is named, never to the one that Warp takes by itself."""
 
+import ast
+import re
+from pathlib import Path
+
 import pytest
 import warp as wp
 from warp._src import context
 
 import warpqem
 from tests.support import meshes
+
+
+def devices_named_in(path: Path) -> list[str]:
+    """The GPUs that code names, and not its docstrings."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    docs = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+    constants = [node for node in ast.walk(tree) if isinstance(node, ast.Constant) and id(node) not in docs]
+    return [
+        node.value for node in constants if isinstance(node.value, str) and re.fullmatch(r"cuda(:\d+)?", node.value)
+    ]
+
+
+def test_no_room_but_that_of_devices_names_a_gpu():
+    package = Path(warpqem.__file__).parent
+    naming = {str(path.relative_to(package)) for path in package.rglob("*.py") if devices_named_in(path)}
+    assert naming == {"runtime/device.py"}
 
 
 @pytest.fixture

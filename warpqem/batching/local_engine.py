@@ -1,4 +1,4 @@
-"""Jobs in processes on this machine: one for each GPU, or some that share the CPU's cores."""
+"""Jobs in processes on this machine: some that share each GPU, or the CPU's cores."""
 
 from __future__ import annotations
 
@@ -39,6 +39,10 @@ from warpqem.usd.checks.library import need_usd
 
 __all__ = ["MAIN_HINT", "OUTSIDE_SIGNALS", "LocalEngine", "ending"]
 
+# Processes that share a GPU, so that it has work while others read, measure and write: of a small asset with quality
+# "best" kernels are a third of the time even on a CPU. Threads of one process would not do: Warp has one current stream
+# for each device, and what a thread does while another one captures a graph becomes part of it. No GPU has measured it.
+WORKERS_PER_GPU = 4
 # Workers that die before they are ready, one after another, until a batch gives up.
 MAX_FAILED_STARTS = 3
 # Workers import the script that starts them, and must not start a batch again.
@@ -85,7 +89,8 @@ class LocalEngine:
         """Nothing is started yet.
 
         Args:
-            workers: Processes; None for one for each GPU, or as many as there are cores.
+            workers: Processes; None for as many as there are cores, and no more than ``WORKERS_PER_GPU`` for each GPU
+                where there are any.
             timeout: Seconds that a job may take; None for any number.
             memory: What a worker may take for a job whose options do not say; None for its part of what is free.
             retries: How often a job is begun again whose worker was stopped from outside.
@@ -120,16 +125,18 @@ class LocalEngine:
 
     def worker_count(self, job_count: int, devices: Sequence[str]) -> int:
         """How many processes there are for so many jobs on some devices."""
-        each = thread_count("cpu") if list(devices) == ["cpu"] else len(devices)
-        return min(self._asked or each, job_count)
+        count = thread_count("cpu")
+        if list(devices) != ["cpu"]:
+            count = max(len(devices), min(count, WORKERS_PER_GPU * len(devices)))
+        return min(self._asked or count, job_count)
 
-    def setup(self, workers: int, device: str, output: str) -> WorkerSetup:
-        """What one of so many workers is to be like."""
+    def setup(self, workers: int, device: str, output: str, devices: int = 1) -> WorkerSetup:
+        """What one of so many workers on so many devices is to be like."""
         memory = self._memory
         if memory is None:
             free = available_memory("cpu")
             memory = None if free is None else int(DEFAULT_SHARE * free) // workers
-        return WorkerSetup(max(1, thread_count("cpu") // workers), device, memory, output)
+        return WorkerSetup(max(1, thread_count("cpu") // workers), device, memory, output, -(-workers // devices))
 
 
 class _Pool:
@@ -181,7 +188,9 @@ class _Pool:
         output = os.path.join(self._folder, f"{self._started}.txt")
         here, there = multiprocessing.Pipe()
         process = multiprocessing.get_context("spawn").Process(
-            target=run_worker, args=(there, self.engine.setup(self._size, device, output)), daemon=True
+            target=run_worker,
+            args=(there, self.engine.setup(self._size, device, output, len(self._devices))),
+            daemon=True,
         )
         with self._lock:
             if self._closed:  # by the end of the process, while another thread reads what workers say

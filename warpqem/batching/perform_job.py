@@ -15,7 +15,7 @@ from warpqem.batching.job_result import DONE, FAILED, PARTIAL, BatchResult, name
 from warpqem.batching.jobs import BatchJob
 from warpqem.errors import StageError, WarpqemError
 from warpqem.pipeline.memory_plan import DEFAULT_SHARE, available_memory
-from warpqem.runtime.device import resolve_device
+from warpqem.runtime.device import device_traits, resolve_device
 from warpqem.runtime.process_limits import with_limit
 from warpqem.runtime.process_memory import peak_memory, reset_peak
 from warpqem.usd.checks.input_check import open_layers
@@ -33,6 +33,7 @@ def perform(
     progress: Callable[[float, str], None] | None = None,
     device: str | None = None,
     memory: int | None = None,
+    sharing: int = 1,
 ) -> BatchResult:
     """Simplify an asset. Whatever is raised on the way becomes the result.
 
@@ -43,12 +44,13 @@ def perform(
         progress: Called with the fraction done and what is being done.
         device: Warp device where the options name none.
         memory: Bytes that the work may take, where the options do not say.
+        sharing: Processes that share the device's memory, if it has its own.
     """
     start, begun = time.perf_counter(), time.time()
     reset_peak()
     result = BatchResult(job.input, job.output, FAILED, process=f"{platform.node()}:{os.getpid()}")
     try:
-        options = _with_defaults(job.options, device, memory)
+        options = _with_defaults(job.options, device, memory, sharing)
         _make_folder(Path(job.output).parent)
         # Held, so that USD reads no layer twice.
         opened = [open_layers(path, options.asset_roots) for path in (job.input, options.poses) if path is not None]
@@ -87,10 +89,12 @@ def warm_up(device: str | None = None) -> None:
         warpqem.simplify(points.reshape(frame_count, -1, 3).astype(np.float32), faces, ratio=0.5, device=device)
 
 
-def _with_defaults(options: SimplifyOptions, device: str | None, memory: int | None) -> SimplifyOptions:
+def _with_defaults(options: SimplifyOptions, device: str | None, memory: int | None, sharing: int) -> SimplifyOptions:
     device = resolve_device(options.device or device)
     if options.memory is None and memory is not None:
         free = available_memory(device)
+        if free is not None and device_traits(device).own_memory:
+            free //= sharing
         memory = memory if free is None else max(1, min(memory, int(DEFAULT_SHARE * free)))
         options = replace(options, memory=memory)
     return replace(options, device=device)

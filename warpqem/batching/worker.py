@@ -38,12 +38,14 @@ class WorkerSetup:
         device: Warp device for jobs that name none.
         memory: Bytes it may take for a job that does not say; None for no limit.
         output: File that takes what libraries print.
+        sharing: Workers on the same device, this one too.
     """
 
     threads: int
     device: str
     memory: int | None
     output: str
+    sharing: int = 1
 
 
 def run_worker(connection: Connection, setup: WorkerSetup) -> None:
@@ -75,6 +77,7 @@ def _serve(connection: Connection, sender: _Sender, setup: WorkerSetup) -> None:
 
     from warpqem.batching.perform_job import perform, warm_up
     from warpqem.pipeline.memory_plan import parse_bytes
+    from warpqem.runtime.device import share_memory
     from warpqem.runtime.process_memory import limited_memory
     from warpqem.usd.checks.usd_errors import UsdMessages
 
@@ -83,6 +86,7 @@ def _serve(connection: Connection, sender: _Sender, setup: WorkerSetup) -> None:
     sender.send("loaded", None)
     # Its turn to look for kernels that are not compiled yet.
     connection.recv()
+    share_memory(setup.device, setup.sharing)
     warm_up(setup.device)
     sender.send("ready", None)
     while True:
@@ -90,7 +94,7 @@ def _serve(connection: Connection, sender: _Sender, setup: WorkerSetup) -> None:
         own = job.options.memory
         limit = setup.memory if own is None else parse_bytes(own)
         with limited_memory(limit):
-            result = perform(job, sender.progress, setup.device, setup.memory)
+            result = perform(job, sender.progress, setup.device, setup.memory, setup.sharing)
         for text in usd_messages.take():
             _log.info("%s: USD: %s", job.input, text)
         sender.send("result", result)

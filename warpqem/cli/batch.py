@@ -106,7 +106,7 @@ def batch(
             metavar="COUNT",
             parser=whole(COUNT),
             rich_help_panel="Machine",
-            help="Processes on this machine; by default one for each GPU, or for each core without any.",
+            help="Processes on this machine; by default one for each core, with GPUs no more than four for each.",
         ),
     ] = None,
     timeout: Annotated[

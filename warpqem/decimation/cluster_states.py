@@ -14,8 +14,8 @@ import warp as wp
 
 from warpqem.decimation.collapse_nodes import read_rows
 from warpqem.decimation.decimate import DecimatedMesh
-from warpqem.decimation.faces_left import faces_left
 from warpqem.decimation.forest_cut import CollapseForest, Cut, last_collapses
+from warpqem.decimation.level_faces import LevelFaces
 from warpqem.decimation.memoryless_quadrics import MemorylessQuadrics
 from warpqem.decimation.replay import copy_rows, put_rows
 from warpqem.kernels import anchor as kernels
@@ -37,11 +37,13 @@ class ClusterStates:
         input_faces: (N, 3) int32, what was ordered.
         ordered: what that left.
         forest: its collapses.
+        faces: finds the faces of levels.
     """
 
-    def __init__(self, input_faces: np.ndarray, ordered: DecimatedMesh, forest: CollapseForest) -> None:
-        self._ordered, self._forest = ordered, forest
-        self._corner_vertex = wp.array(input_faces.ravel(), dtype=wp.int32, device=ordered.position.device)
+    def __init__(
+        self, input_faces: np.ndarray, ordered: DecimatedMesh, forest: CollapseForest, faces: LevelFaces
+    ) -> None:
+        self._ordered, self._forest, self._faces = ordered, forest, faces
         self._present = MemorylessQuadrics(input_faces, ordered)
         self._position, self._quadric = wp.clone(ordered.position), wp.clone(ordered.quadric)
         # The last collapse of each cluster that ordering left; there is no state of others, nor of pruned ones.
@@ -53,19 +55,13 @@ class ClusterStates:
         # The last collapse of the cluster whose state each vertex shows.
         self._shown = self._left.copy()
 
-    def at(self, cut: Cut, known: DecimatedMesh | None = None) -> DecimatedMesh:
-        """A level; the arrays of positions and quadrics are shared by all of them.
-
-        ``known`` is what it was before, for its faces, where there were others since.
-        """
+    def at(self, cut: Cut) -> DecimatedMesh:
+        """A level; the arrays of positions and quadrics are shared by all of them."""
         ordered, log = self._ordered, self._ordered.log.chosen(cut.kept)
         drops = ordered.drops
         drops = drops.chosen(cut.dropped, cut.kept) if len(drops) else drops
         root = log.roots(len(ordered.root))
-        if known is None:
-            faces, face_map = faces_left(self._corner_vertex, log, root, drops)
-        else:
-            faces, face_map = known.faces, known.face_map
+        faces, face_map = self._faces.at(root, drops)
         last = self._forest.last_collapses(cut)
         is_kept = np.zeros(len(root), dtype=bool)
         is_kept[faces] = True

@@ -15,7 +15,7 @@ from warpqem.runtime import new_arrays
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import launch
 
-__all__ = ["CollapseRecord", "new_log", "read_log"]
+__all__ = ["CollapseRecord", "log_of", "new_log", "ordered_log", "read_log"]
 
 # Share of the collapses so far whose errors say how far the mesh is from the input. Over 68 cells the root mean square
 # of the last sixteenth is 0.2 to 1.6, mostly 0.7 to 1.3, of what the quadrics of all clusters have in the end.
@@ -76,6 +76,8 @@ class CollapseRecord(ArrayRecord):
 # The arrays of a log in rows of four bytes each, so that one copy brings all of it to the host.
 _INTEGERS = ("kept", "removed", "left_opposite", "right_opposite", "faces_removed", "round_index")
 _NUMBERS = ("cost", "error")
+# Of numbers of four bytes that come to the host of each collapse.
+ROWS = 7
 
 
 def new_log(capacity: int, device: str) -> tuple[CollapseLog, wp.array]:
@@ -96,23 +98,38 @@ def read_log(rows: wp.array, count: int) -> CollapseRecord:
     """Fetch ``count`` collapses; those of a round, which threads log in any order, are put in order of their cost."""
     device = rows.device
     if not count:
-        values = np.empty((len(rows), 0), dtype=np.int32)
-    else:
-        slot = _order_on_host(rows, count) if device_traits(str(device)).in_order else _order_by_sorts(rows, count)
-        ordered = new_arrays.empty(len(rows) * count, dtype=wp.int32, device=device)
-        launch(kernels.gather_log, count, [rows, slot], [ordered], device=device)
-        values = ordered.numpy().reshape(len(rows), count)
-    by_name = dict(zip(_INTEGERS, values, strict=False))
-    cost, error = (row.view(np.float32) for row in values[len(_INTEGERS) :])
+        return log_of(np.empty(0, dtype=np.int32), 0)
+    ordered = new_arrays.empty(ROWS * count, dtype=wp.int32, device=device)
+    slot = _order_on_host(rows, count) if device_traits(str(device)).in_order else _order_by_sorts(rows, count)
+    there = new_arrays.uploaded([count], dtype=wp.int32, device=device)
+    launch(kernels.gather_log, count, [rows, slot, there], [ordered], device=device)
+    return log_of(ordered.numpy(), count)
+
+
+def ordered_log(rows: wp.array, count: wp.array, room: int) -> wp.array:
+    """The same on the device, with room for so many: (7 room,) int32, for :func:`log_of`; ``count`` is (1,) int32."""
+    device = rows.device
+    ordered = new_arrays.zeros(ROWS * room, dtype=wp.int32, device=device)
+    if room:
+        slot = _slots_by_sorts(rows, count, rows.shape[1])[:room]
+        launch(kernels.gather_log, room, [rows, slot, count], [ordered], device=device)
+    return ordered
+
+
+def log_of(ordered: np.ndarray, count: int) -> CollapseRecord:
+    """The log of ``count`` collapses in (7 room,) int32, as :func:`ordered_log` has them."""
+    values = ordered.reshape(ROWS, -1)
+    kept, removed, faces_and_round, cost, error = (values[row, :count] for row in (0, 1, 4, 5, 6))
+    bits = int(kernels.FACE_BITS)
     return CollapseRecord(
-        kept=by_name["kept"],
-        removed=by_name["removed"],
-        opposites=values[2:4].reshape(-1, 2),
-        faces_removed=by_name["faces_removed"],
-        cost=cost,
-        error=error,
-        round_index=by_name["round_index"],
-        recent_error=_recent_error(error),
+        kept=kept,
+        removed=removed,
+        opposites=values[2:4].reshape(-1, 2)[:count],
+        faces_removed=faces_and_round & ((1 << bits) - 1),
+        cost=cost.view(np.float32),
+        error=error.view(np.float32),
+        round_index=faces_and_round >> bits,
+        recent_error=_recent_error(error.view(np.float32)),
     )
 
 
@@ -126,18 +143,24 @@ def _order_on_host(rows: wp.array, count: int) -> wp.array:
 
 def _order_by_sorts(rows: wp.array, count: int) -> wp.array:
     """The same by two sorts on the device, the second of which keeps the order of what is equal."""
+    there = new_arrays.uploaded([count], dtype=wp.int32, device=rows.device)
+    return _slots_by_sorts(rows, there, count)
+
+
+def _slots_by_sorts(rows: wp.array, count: wp.array, capacity: int) -> wp.array:
+    """(capacity,) int32, the slots of ``count`` (1,) collapses in order, then others, all below a capacity."""
     device, removed, rounds = rows.device, rows[_INTEGERS.index("removed")], rows[_INTEGERS.index("round_index")]
     # A sort works between the two halves.
     keys, round_keys, slots = (
-        new_arrays.empty(2 * count, dtype=dtype, device=device) for dtype in (wp.int64, wp.int32, wp.int32)
+        new_arrays.empty(2 * capacity, dtype=dtype, device=device) for dtype in (wp.int64, wp.int32, wp.int32)
     )
     cost = rows[len(_INTEGERS)].view(wp.float32)
-    launch(kernels.key_collapses, count, [cost, removed], [keys, slots], device=device)
+    launch(kernels.key_collapses, capacity, [cost, removed, count], [keys, slots], device=device)
     # The sign bit is never set.
-    wp.utils.radix_sort_pairs(keys, slots, count, 0, 63)
-    launch(kernels.key_rounds, count, [slots, rounds], [round_keys], device=device)
-    wp.utils.radix_sort_pairs(round_keys, slots, count, 0, 31)
-    return slots[:count]
+    wp.utils.radix_sort_pairs(keys, slots, capacity, 0, 63)
+    launch(kernels.key_rounds, capacity, [slots, rounds, count], [round_keys], device=device)
+    wp.utils.radix_sort_pairs(round_keys, slots, capacity, 0, 31)
+    return slots[:capacity]
 
 
 def _recent_error(error: np.ndarray) -> np.ndarray:

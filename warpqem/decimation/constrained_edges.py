@@ -74,12 +74,17 @@ class EdgeMarks:
         wp.utils.array_scan(self._before, self._before, inclusive=True)
         wp.copy(count, self._before, src_offset=len(border) - 1, count=1)
 
-    def listed(self, count: int) -> ConstrainedEdges:
-        """The half-edges; ``count`` is their number."""
-        device, edges = self._corner_vertex.device, np.zeros((0, 4), dtype=np.int32)
-        if count:
-            found = new_arrays.empty(count, dtype=wp.vec4i, device=device)
-            inputs = [self._corner_vertex, self._marks, self._before]
-            launch(kernels.list_constrained, len(self._marks), inputs, [found], device=device)
-            edges = np.array(found.numpy())
+    def first(self, room: int) -> wp.array:
+        """Rows (room,) vec4i of the first half-edges, on the device; where there are fewer, the rest says nothing."""
+        device = self._corner_vertex.device
+        found = new_arrays.empty(room, dtype=wp.vec4i, device=device)
+        inputs = [self._corner_vertex, self._marks, self._before]
+        launch(kernels.list_constrained, len(self._marks), inputs, [found], device=device)
+        return found
+
+    def listed(self, count: int, known: np.ndarray | None = None) -> ConstrainedEdges:
+        """The half-edges; ``count`` is their number, and ``known`` are the first rows, where they came to the host."""
+        edges = np.zeros((0, 4), dtype=np.int32) if known is None else known[:count]
+        if len(edges) < count:
+            edges = np.array(self.first(count).numpy())
         return ConstrainedEdges(edges[:, 0], edges[:, 1], edges[:, 2:])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import warp as wp
@@ -13,13 +14,13 @@ from warpqem.decimation.adjacency import Adjacency, build_adjacency, classify_ve
 from warpqem.decimation.arrangement import ARRANGED_FACES, Arrangement, arrange
 from warpqem.decimation.attribute_quadrics import build_wedges
 from warpqem.decimation.cluster_vertices import build_members
-from warpqem.decimation.collapse_log import CollapseRecord, read_log
+from warpqem.decimation.collapse_log import CollapseRecord
 from warpqem.decimation.collapse_nodes import NodeRecorder
 from warpqem.decimation.component_forest import ComponentForest
 from warpqem.decimation.constrained_edges import ConstrainedEdges, EdgeMarks
 from warpqem.decimation.deformation import build_deformation
-from warpqem.decimation.faces_left import faces_left
 from warpqem.decimation.initial_quadrics import given_quadrics, initial_quadrics
+from warpqem.decimation.left import Left
 from warpqem.decimation.ordering import Ordering
 from warpqem.decimation.pass_steps import PassSteps
 from warpqem.decimation.passes import Orderer
@@ -33,6 +34,10 @@ from warpqem.kernels.topology import CORNER, NON_MANIFOLD
 from warpqem.runtime import new_arrays
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import launch
+from warpqem.runtime.readback import read_together
+
+# So many half-edges of borders and seams come to the host along with their number.
+FEW_EDGES = 128
 
 __all__ = ["DecimatedMesh", "DecimationInput", "OrderSettings", "order_collapses"]
 
@@ -143,22 +148,22 @@ def order_collapses(
     steps = PassSteps(state, frames, adjacency, _cost_model(mesh, settings), device, settings.memoryless)
     if gone is not None and arrangement is not None:
         gone = gone[arrangement.host_vertex]
-    stopped, log, drops = _collapse(steps, settings, kinds.forest, gone, progress, recorder)
+    left = Left(steps, mesh.faces, corner_vertex, arrangement)
+    orderer = _new_ordering(steps)
+    if math.isinf(settings.error_limit) and math.isinf(settings.size_limit) and kinds.forest is None:
+        orderer.along = partial(left.ahead, settings.target_faces, len(edges.half_edge))
+    stopped, drops = _collapse(orderer, settings, kinds.forest, gone, progress, recorder)
+    count, face_count, brought = orderer.collapse_count(), orderer.live_faces, orderer.brought
     if mesh.attributes is not None:
         add_attributes = attribute_kernels.add_attribute_quadrics[width_of(frames.quadric)]
         launch(add_attributes, len(frames.quadric), [state.wedges.quadric], [frames.quadric], device=device)
     # What follows needs their memory.
-    del state, adjacency, steps, kinds
+    del state, adjacency, steps, kinds, orderer
     row = np.arange(vertex_count, dtype=np.int32)
     if arrangement is not None:
-        row, log, drops = (
-            arrangement.host_place,
-            arrangement.restore_log(log),
-            drops.for_vertices(arrangement.host_vertex),
-        )
+        row, drops = arrangement.host_place, drops.for_vertices(arrangement.host_vertex)
         edges = edges.renumbered(arrangement.restore_half_edges(edges.half_edge), arrangement.host_vertex)
-    root = log.roots(vertex_count)
-    faces, face_map = faces_left(corner_vertex, log, root, drops)
+    log, root, faces, face_map = left.read(count, face_count, drops, brought)
     return DecimatedMesh(
         faces=faces,
         face_map=face_map,
@@ -179,17 +184,16 @@ def order_collapses(
 
 
 def _collapse(
-    steps: PassSteps,
+    orderer: Ordering,
     settings: OrderSettings,
     forest: ComponentForest | None,
     gone: np.ndarray | None,
     progress: Callable[[int], None] | None,
     recorder: NodeRecorder | None,
-) -> tuple[str, CollapseRecord, DropRecord]:
-    """Collapse edges: why it stopped, the log, and the pruned components. The rows of the key frames move along."""
-    state = steps.state
+) -> tuple[str, DropRecord]:
+    """Collapse edges: why it stopped, and the pruned components. The rows of the key frames move along."""
+    steps, state = orderer.steps, orderer.state
     lowest_limit = min(settings.error_limit, settings.size_limit)
-    orderer = _new_ordering(steps)
     components = None
     if forest is not None:
         limits = settings.error_limit**2, lowest_limit**2
@@ -199,9 +203,9 @@ def _collapse(
     stopped = orderer.run(settings.target_faces, progress, recorder, components)
     if stopped == "max_error" and settings.size_limit < settings.error_limit:
         stopped = "max_size_error"
-    log = read_log(steps.log_rows, orderer.collapse_count())
     vertex_count = len(state.vertex_flags)
-    return stopped, log, DropRecord.none(vertex_count) if components is None else components.record(orderer.drops)
+    drops = DropRecord.none(vertex_count) if components is None else components.record(orderer.drops)
+    return stopped, drops
 
 
 def _on_device(
@@ -263,12 +267,16 @@ def _find_kinds(state: MeshState, border: wp.array, keep_components: bool) -> _K
     marks = EdgeMarks(state.corner_vertex, border, state.seam, counts[:1])
     forest = None if keep_components else ComponentForest(state.corner_vertex, state.adjacency, counts[1:2])
     launch(count_non_manifold, len(flags), [flags], [counts[2:]], device=device)
-    edge_count, component_count, non_manifold_count = counts.numpy().tolist()
+    # The first ones come along: most meshes have few.
+    brought, *known = read_together(
+        counts, *([marks.first(FEW_EDGES)] if device_traits(str(device)).own_memory else [])
+    )
+    edge_count, component_count, non_manifold_count = brought.tolist()
     non_manifold = np.zeros(len(flags), dtype=bool)
     if non_manifold_count:
         non_manifold = (flags.numpy() & int(NON_MANIFOLD)) != 0
     # One component always stays.
-    return _Kinds(marks.listed(edge_count), non_manifold, forest if component_count > 1 else None)
+    return _Kinds(marks.listed(edge_count, *known), non_manifold, forest if component_count > 1 else None)
 
 
 def _seam_marks(seam: np.ndarray, arrangement: Arrangement | None, device: str) -> wp.array:

@@ -27,6 +27,7 @@ from warpqem.runtime import new_arrays
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import Recorder, launch
 from warpqem.runtime.loops import DeviceLoop
+from warpqem.runtime.readback import read_together
 
 __all__ = ["DeviceOrderer"]
 
@@ -110,7 +111,10 @@ class DeviceOrderer(Ordering):
     ) -> _Report:
         """Passes until the loop ends by itself; where it ended."""
         if progress is None and recorder is None:
-            return _Report(*loop.run().tolist())
+            loop.complete()
+            along = () if self.along is None else self.along()
+            numbers, *self.brought = read_together(self._report, *along)
+            return _Report(*numbers.tolist())
         # A recorder reads what the last pass left, so that there must be no other under way.
         for numbers in loop.turns(0) if recorder else loop.turns():
             report = _Report(*numbers.tolist())

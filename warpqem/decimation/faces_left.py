@@ -11,18 +11,19 @@ from warpqem.kernels import faces_left as kernels
 from warpqem.runtime import new_arrays
 from warpqem.runtime.launches import launch
 
-__all__ = ["faces_left"]
+__all__ = ["MarkedFaces", "faces_left"]
 
 
 def faces_left(
-    corner_vertex: wp.array, log: CollapseRecord, root: np.ndarray, drops: DropRecord
+    faces: np.ndarray, corner_vertex: wp.array, log: CollapseRecord, root: np.ndarray, drops: DropRecord
 ) -> tuple[np.ndarray, np.ndarray]:
     """The input's faces that collapses and drops left.
 
     A collapse takes the faces that hold both its ends: the faces left are those whose corners stayed apart.
 
     Args:
-        corner_vertex: (3N,) int32, the input's faces on the device, one at least.
+        faces: (N, 3) int32, the input's, one at least.
+        corner_vertex: (3N,) int32, the same on the device.
         log: the collapses.
         root: (V,) int32, the vertex that each input vertex collapsed into.
         drops: the pruned components.
@@ -30,21 +31,40 @@ def faces_left(
     Returns:
         ``faces`` (N', 3) int32 over the kept vertices, ``face_map`` (N',) int32 ascending, the input face of each.
     """
-    device, count = corner_vertex.device, len(corner_vertex) // 3
-    roots = new_arrays.uploaded(root, dtype=wp.int32, device=device)
-    dropped = new_arrays.uploaded(drops.vertex_drop if len(drops) else [], dtype=wp.int32, device=device)
-    before = new_arrays.empty(count, dtype=wp.int32, device=device)
-    launch(kernels.mark_faces_left, count, [corner_vertex, roots, dropped], [before], device=device)
-    wp.utils.array_scan(before, before, inclusive=True)
-
-    def list_rows(room: int) -> np.ndarray:
-        rows = new_arrays.empty(1 + room, dtype=wp.vec4i, device=device)
-        launch(kernels.list_faces_left, count, [corner_vertex, roots, before], [rows], device=device)
-        return np.array(rows.numpy())
-
     # As many as the collapses say, so that the host waits once; the device knows the number.
-    rows = list_rows(max(0, count - int(log.faces_removed.sum()) - int(drops.face_count.sum())))
-    left = int(rows[0, 0])
-    if left >= len(rows):
-        rows = list_rows(left)
-    return np.ascontiguousarray(rows[1 : 1 + left, 1:]), np.array(rows[1 : 1 + left, 0])
+    room = max(0, len(faces) - int(log.faces_removed.sum()) - int(drops.face_count.sum()))
+    roots = new_arrays.uploaded(root, dtype=wp.int32, device=corner_vertex.device)
+    marked = MarkedFaces(corner_vertex, roots, drops)
+    face_map = marked.listed(np.array(marked.rows(room).numpy()))
+    return root[faces[face_map]], face_map
+
+
+class MarkedFaces:
+    """The faces that are left, on the device.
+
+    Args:
+        corner_vertex: (3N,) int32, the input's faces, one at least.
+        root: (V,) int32, the vertex that each input vertex collapsed into.
+        drops: the pruned components.
+    """
+
+    def __init__(self, corner_vertex: wp.array, root: wp.array, drops: DropRecord) -> None:
+        device, count = corner_vertex.device, len(corner_vertex) // 3
+        dropped = new_arrays.uploaded(drops.vertex_drop if len(drops) else [], dtype=wp.int32, device=device)
+        self._before = new_arrays.empty(count, dtype=wp.int32, device=device)
+        launch(kernels.mark_faces_left, count, [corner_vertex, root, dropped], [self._before], device=device)
+        wp.utils.array_scan(self._before, self._before, inclusive=True)
+
+    def rows(self, room: int) -> wp.array:
+        """(1 + room,) int32: how many there are, then as many as there is room for, ascending."""
+        device = self._before.device
+        rows = new_arrays.empty(1 + room, dtype=wp.int32, device=device)
+        launch(kernels.list_faces_left, len(self._before), [self._before], [rows], device=device)
+        return rows
+
+    def listed(self, rows: np.ndarray) -> np.ndarray:
+        """(N',) int32, the faces, of rows that came to the host; they are fetched where there was no room."""
+        left = int(rows[0])
+        if left >= len(rows):
+            rows = np.array(self.rows(left).numpy())
+        return np.array(rows[1 : 1 + left])

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
+import warp as wp
 
 from warpqem.decimation.collapse_nodes import NodeRecorder
 from warpqem.decimation.pass_steps import ROUNDS, PassSteps
@@ -23,6 +24,8 @@ class Ordering(ABC):
         face_slots: faces in the arrays, dead ones included.
         live_faces: faces that are left.
         drops: the pruned components.
+        along: what is to come to the host along with how an ordering ended, if that takes a wait; None for nothing.
+        brought: these arrays as they came; none where there was no wait.
     """
 
     def __init__(self, steps: PassSteps) -> None:
@@ -32,6 +35,8 @@ class Ordering(ABC):
         self.face_slots = len(self.state.corner_vertex) // 3
         self.live_faces = self.face_slots
         self.drops: list[ComponentDrop] = []
+        self.along: Callable[[], Sequence[wp.array]] | None = None
+        self.brought: Sequence[np.ndarray] = ()
 
     @abstractmethod
     def run(

@@ -46,7 +46,7 @@ class OrderedLevels:
     """
 
     def __init__(self, input_faces: np.ndarray, ordered: DecimatedMesh, recorder: NodeRecorder) -> None:
-        self._ordered, self._passes = ordered, recorder.passes
+        self._ordered, self._passes, self._input_faces = ordered, recorder.passes, input_faces
         self._corner_vertex = new_arrays.uploaded(input_faces.ravel(), dtype=wp.int32, device=ordered.position.device)
         self.log = ordered.log
         self._position, self._quadric = wp.clone(ordered.position), wp.clone(ordered.quadric)
@@ -80,7 +80,7 @@ class OrderedLevels:
         drops = self._ordered.drops.head(drop_count)
         log = self.log.head(collapse_count)
         root = log.roots(len(self._ordered.root))
-        faces, face_map = faces_left(self._corner_vertex, log, root, drops)
+        faces, face_map = faces_left(self._input_faces, self._corner_vertex, log, root, drops)
         shown = []
         for index, nodes in enumerate(self._passes):
             first = int(self._pass_start[index])
@@ -117,7 +117,7 @@ class OrderedLevels:
         drops = self._ordered.drops
         drops = drops.chosen(cut.dropped, cut.kept) if len(drops) else drops
         root = log.roots(len(self._ordered.root))
-        faces, face_map = faces_left(self._corner_vertex, log, root, drops)
+        faces, face_map = faces_left(self._input_faces, self._corner_vertex, log, root, drops)
         return replace(
             self._ordered,
             faces=faces,
@@ -147,7 +147,7 @@ class OrderedLevels:
             all_nodes = np.ones(len(kept), dtype=bool)
             self._show(nodes, all_nodes)
             if self._present is not None:
-                _, face_map = faces_left(self._corner_vertex, log, root, self._ordered.drops.head(0))
+                _, face_map = faces_left(self._input_faces, self._corner_vertex, log, root, self._ordered.drops.head(0))
                 self._show_present([(nodes, all_nodes)], root, face_map)
             inside = np.where(cluster >= 0, root, -1).astype(np.int32)
             ordered = replace(self._ordered, root=inside, position=self._position, quadric=self._quadric, log=log)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -13,6 +14,7 @@ from warpqem.frames.stream import read_ahead
 from warpqem.kernels import frame_bounds as kernels
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import launch
+from warpqem.runtime.staging import Uploads
 
 __all__ = ["BoundsMeter", "DeviceSink", "HeldFrames", "device_blocks", "take_vertices", "to_device"]
 
@@ -60,13 +62,22 @@ class HeldFrames:
 def device_blocks(
     held: HeldFrames | None, read: Callable[[slice], np.ndarray], blocks: Sequence[slice], device: str
 ) -> Iterator[tuple[slice, wp.array]]:
-    """Every block of frames on the device, (n, V) points: those held there, or else what ``read`` gives."""
-    if held is None:
+    """Every block of frames on the device, (n, V) points: those held there, or else what ``read`` gives, as float32.
+
+    Where they are copied there, the next block is on its way while the caller's work on one is done, which has to be
+    begun when the next one is asked for: it takes the place of that before.
+    """
+    if held is not None:
+        for frames in blocks:
+            yield frames, held.block(frames)
+    elif len(blocks) < 2 or not device_traits(device).own_memory:
+        # Nothing is done while a single block travels.
         for frames, points in read_ahead(read, blocks):
             yield frames, to_device(points, device)
     else:
-        for frames in blocks:
-            yield frames, held.block(frames)
+        with contextlib.closing(Uploads(device)) as uploads:
+            for frames, staged in read_ahead(uploads.staged(read), blocks):
+                yield frames, uploads.sent(staged)
 
 
 class BoundsMeter:
@@ -108,6 +119,11 @@ class BoundsMeter:
 
     def measure_there(self, points: wp.array) -> tuple[np.ndarray, np.ndarray, bool]:
         """The same of points (n, V) on the device, which has memory of its own."""
+        found = self.bounds_there(points).numpy()
+        return found[:, :3], found[:, 3:6], not found[:, 6].any()
+
+    def bounds_there(self, points: wp.array) -> wp.array:
+        """The same on the device, (n, 7) float32: lowest corner, highest corner, 1 where a point is not finite."""
         largest = float(kernels.LARGEST)
         initial = np.array([[*3 * [largest], *3 * [-largest], 0.0]], dtype=np.float32)
         count, vertex_count = points.shape
@@ -115,8 +131,7 @@ class BoundsMeter:
         lanes = max(1, min(device_traits(self._device).launch_threads // count, vertex_count))
         inputs = [points, self._flags, lanes]
         launch(kernels.measure_bounds, (count, lanes), inputs, [bounds], device=self._device)
-        found = bounds.numpy()
-        return found[:, :3], found[:, 3:6], not found[:, 6].any()
+        return bounds
 
 
 class DeviceSink:

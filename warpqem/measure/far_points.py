@@ -15,8 +15,16 @@ from warpqem.mesh.grouping import order_by
 from warpqem.runtime import new_arrays
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.part_launches import corners_of, launch_in_parts, rows_of
+from warpqem.runtime.readback import read_together
 
-__all__ = ["FaceLists", "FacesAround", "PointsAndFaces", "furthest_from", "longest_edges"]
+__all__ = [
+    "FaceLists",
+    "FacesAround",
+    "PointsAndFaces",
+    "furthest_from",
+    "longest_edges",
+    "longest_edges_there",
+]
 
 # Points, or faces, that are worth a thread: some hundred nanoseconds each.
 MIN_POINTS = 1024
@@ -77,7 +85,9 @@ class FacesAround(FaceLists):
         return self.face[place], row
 
 
-def _uploaded(values: npt.NDArray[np.integer], device: str) -> wp.array:
+def _uploaded(values: npt.NDArray[np.integer] | wp.array, device: str) -> wp.array:
+    if isinstance(values, wp.array):
+        return values
     return wp.array(values.astype(np.int32, copy=False), dtype=wp.int32, device=device, copy=False)
 
 
@@ -91,7 +101,7 @@ class PointsAndFaces:
         faces: its faces.
         point: (n,) int, points of ``own``.
         row: (n,) int, the row of ``clusters`` for each.
-        clusters: where each row starts, (R+1,) int, and clusters, int.
+        clusters: where each row starts, (R+1,) int, and clusters, int, on the host or the device.
         lists: faces of ``other`` at each cluster.
         around: the simplified mesh's faces at each cluster.
     """
@@ -101,7 +111,7 @@ class PointsAndFaces:
     faces: FacesAround
     point: npt.NDArray[np.integer]
     row: npt.NDArray[np.integer]
-    clusters: tuple[npt.NDArray[np.integer], npt.NDArray[np.integer]]
+    clusters: tuple[npt.NDArray[np.integer], npt.NDArray[np.integer] | wp.array]
     lists: FaceLists
     around: FacesAround
 
@@ -176,9 +186,15 @@ def longest_edges(
 
     They come to the host at once.
     """
-    ends = np.cumsum([len(faces) for _, faces in surfaces])
-    squared = new_arrays.empty(int(ends[-1]), dtype=wp.float32, device=device)
-    for (lanes, faces), end in zip(surfaces, ends.tolist(), strict=True):
+    squared = longest_edges_there(surfaces, device)
+    return [np.sqrt(brought) for brought in read_together(*squared)]
+
+
+def longest_edges_there(surfaces: Sequence[tuple[wp.array, npt.NDArray[np.integer]]], device: str) -> list[wp.array]:
+    """The same squared, on the device."""
+    found = []
+    for lanes, faces in surfaces:
+        squared = new_arrays.empty(len(faces), dtype=wp.float32, device=device)
         corner_vertex = new_arrays.uploaded(
             np.ascontiguousarray(faces, dtype=np.int32).ravel(), dtype=wp.int32, device=device
         )
@@ -186,8 +202,9 @@ def longest_edges(
             kernels.longest_edges[width_of(lanes)],
             len(faces),
             [lanes, corners_of(corner_vertex)],
-            [rows_of(squared[end - len(faces) : end])],
+            [rows_of(squared)],
             device=device,
             min_items=MIN_POINTS,
         )
-    return np.split(np.sqrt(squared.numpy()), ends[:-1])
+        found.append(squared)
+    return found

@@ -18,8 +18,14 @@ import warp as wp
 
 from warpqem.kernels import distance_points as kernels
 from warpqem.kernels.lanes import width_of
-from warpqem.measure.far_points import FaceLists, FacesAround, PointsAndFaces, furthest_from, longest_edges
+from warpqem.kernels.large_faces import largest_of_points
+from warpqem.measure.far_points import FaceLists, FacesAround, PointsAndFaces, furthest_from
+from warpqem.measure.large_faces import LargeFaces
+from warpqem.runtime import new_arrays
+from warpqem.runtime.device import device_traits
+from warpqem.runtime.launches import launch
 from warpqem.runtime.part_launches import corners_of, launch_in_parts, rows_of
+from warpqem.runtime.readback import read_together
 
 __all__ = [
     "InputVertices",
@@ -28,16 +34,13 @@ __all__ = [
     "Side",
     "SimplifiedVertices",
     "furthest_of",
+    "furthest_with_large",
     "input_side",
-    "large_faces",
     "squared_distances",
 ]
 
 # Points of a face: its middle and those of its edges.
 SAMPLES = np.array([[1, 1, 1], [1.5, 1.5, 0], [0, 1.5, 1.5], [1.5, 0, 1.5]], dtype=np.float32) / 3
-# Faces of the input whose longest edge in any frame is so many times the mean of those of the simplified mesh have
-# points of their own. With 0.7 times the same spots are found.
-LARGE = 1.5
 # Points of faces that are looked at at once: some 50 MB of them.
 POINTS_AT_ONCE = 32768
 
@@ -105,16 +108,16 @@ class SampledFaces:
 
     Attributes:
         lanes: (V, B) blocks of the points of their surface.
-        faces: (m, 3) int, its vertices.
-        clusters: (m, c) int.
+        faces: (m, 3) int, its vertices, on the host or the device.
+        clusters: (m, c) int, likewise.
         side: the other surface.
         around_clusters: the simplified mesh's faces at each of its clusters.
         weights: (s, 3) float32, of the corners, for each point of a face.
     """
 
     lanes: wp.array
-    faces: npt.NDArray[np.integer]
-    clusters: npt.NDArray[np.integer]
+    faces: npt.NDArray[np.integer] | wp.array
+    clusters: npt.NDArray[np.integer] | wp.array
     side: Side
     around_clusters: FacesAround
     weights: npt.NDArray[np.floating] = field(default_factory=lambda: SAMPLES)
@@ -134,21 +137,23 @@ class SampledFaces:
         side, around, each = self.side, self.around_clusters, self.points_of_each
         at_once = max(1, POINTS_AT_ONCE // each)
         for first in range(0, self.count, at_once):
-            clusters = self.clusters[first : first + at_once]
-            count = len(clusters)
+            last = min(first + at_once, self.count)
+            clusters, count = self.clusters[first:last], last - first
             start = np.arange(0, clusters.size + 1, clusters.shape[1], dtype=np.int32)
             point = np.arange(each * count, dtype=np.int32)
-            points = self._points(self.faces[first : first + at_once], within[each * first : each * (first + count)])
+            points = self._points(self.faces[first:last], within[each * first : each * last])
             row = np.repeat(point[:count], each)
-            lists = start, clusters.ravel()
+            lists = start, clusters.reshape(-1)
             yield PointsAndFaces(points, side.lanes, side.faces, point, row, lists, side.lists, around)
 
-    def _points(self, faces: npt.NDArray[np.integer], within: wp.array) -> wp.array:
+    def _points(self, faces: npt.NDArray[np.integer] | wp.array, within: wp.array) -> wp.array:
         """Blocks of the points of some faces (m, 3), one face after another."""
         device, each = str(self.lanes.device), self.points_of_each
         blocks = self.lanes.shape[1]
         points = wp.empty((len(faces), each * blocks), dtype=self.lanes.dtype, device=device)
-        corner_vertex = wp.array(np.ascontiguousarray(faces, dtype=np.int32).ravel(), dtype=wp.int32, device=device)
+        if not isinstance(faces, wp.array):
+            faces = wp.array(np.ascontiguousarray(faces, dtype=np.int32), dtype=wp.int32, device=device)
+        corner_vertex = faces.reshape(-1)
         weights = wp.array(self.weights, dtype=wp.vec3, device=device)
         launch_in_parts(
             kernels.points_of_faces[width_of(self.lanes)],
@@ -204,14 +209,6 @@ def input_side(
     return Side(lanes, around, FaceLists(at_clusters.start, faces[at_clusters.face].astype(np.int32)))
 
 
-def large_faces(
-    reference: wp.array, around: FacesAround, test: wp.array, faces: npt.NDArray[np.integer], device: str
-) -> npt.NDArray[np.int64]:
-    """The input's faces, of blocks ``reference``, that are larger than those of a simplified mesh, ``test``."""
-    own, simplified = longest_edges([(reference, around.corner_vertex.reshape(-1, 3)), (test, faces)], device)
-    return np.flatnonzero(own > LARGE * float(simplified.mean()))
-
-
 def furthest_of(
     places: Sequence[Places], limits: Sequence[npt.NDArray[np.floating]], device: str
 ) -> list[npt.NDArray[np.float32]]:
@@ -232,10 +229,46 @@ def furthest_of(
     if not len(limit):
         return [np.empty(0, dtype=np.float32) for _ in places]
     within = wp.array(np.square(limit, dtype=np.float32), dtype=wp.float32, device=device)
-    distance = np.sqrt(squared_distances(places, within, device).numpy())
+    return _brought(squared_distances(places, within, device), places)[0]
+
+
+def furthest_with_large(
+    places: Sequence[Places], large: SampledFaces, listed: LargeFaces, limit: float, device: str
+) -> tuple[list[npt.NDArray[np.float32]], npt.NDArray[np.int32]]:
+    """How far each place is, and points of the large faces that the device has ``listed``, last of all.
+
+    The list, ``LargeFaces.rows``, comes to the host along with them; rows without a face are 0.
+    """
+    together = [*places, large]
+    count = sum(one.count * one.points_of_each for one in together)
+    within = new_arrays.full(count, float(np.square(limit, dtype=np.float32)), dtype=wp.float32, device=device)
+    listed.leave_out_others(within[count - large.count * large.points_of_each :], large.points_of_each)
+    found, (rows,) = _brought(squared_distances(together, within, device), together, listed.rows)
+    return found, rows
+
+
+def _brought(
+    squared: wp.array, places: Sequence[Places], *others: wp.array
+) -> tuple[list[npt.NDArray[np.float32]], list[np.ndarray]]:
+    """The largest distance of the points of each place, (n,) of each of ``places``, of squared ones; and other arrays.
+
+    What takes a wait comes to the host at once, and no more of it than that.
+    """
+    each = [one.points_of_each for one in places]
     ends = np.cumsum([one.count * number for one, number in zip(places, each, strict=True)])
-    found = np.split(distance, ends[:-1])
-    return [part.reshape(-1, number).max(axis=1) for part, number in zip(found, each, strict=True)]
+    if not device_traits(str(squared.device)).own_memory:
+        found = np.split(np.sqrt(squared.numpy()), ends[:-1])
+        largest = [part.reshape(-1, number).max(axis=1) for part, number in zip(found, each, strict=True)]
+        return largest, [other.numpy() for other in others]
+    there = []
+    for one, end in zip(places, ends.tolist(), strict=True):
+        of_points = squared[end - one.count * one.points_of_each : end] if one.count else squared[:0]
+        of_places = new_arrays.empty(one.count, dtype=wp.float32, device=squared.device)
+        inputs = [of_points, one.points_of_each]
+        launch(largest_of_points, one.count, inputs, [of_places], device=squared.device)
+        there.append(of_places)
+    brought = read_together(*there, *others)
+    return [np.sqrt(part) for part in brought[: len(places)]], brought[len(places) :]
 
 
 def squared_distances(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -13,6 +14,8 @@ from warpqem.frames.checked_frames import frame_bounds
 from warpqem.frames.device_frames import BoundsMeter, HeldFrames
 from warpqem.frames.device_source import DeviceFrames
 from warpqem.frames.stream import FrameSource, read_ahead
+from warpqem.runtime.device import device_traits
+from warpqem.runtime.staging import Staged, Uploads
 
 __all__ = ["FirstReading", "SeenFrames", "about_origin"]
 
@@ -51,7 +54,8 @@ class FirstReading:
     """
 
     def __init__(self, source: FrameSource, used: np.ndarray, device: str, hold: bool) -> None:
-        self._source, self._used, self._meter = source, used, BoundsMeter(used, device)
+        self._source, self._used, self._device = source, used, device
+        self._meter = BoundsMeter(used, device)
         self.origin = np.zeros(3)
         self.held: HeldFrames | None = None
         if isinstance(source, DeviceFrames) and source.whole is not None:
@@ -66,8 +70,20 @@ class FirstReading:
         return self._blocks_here(blocks)
 
     def _blocks_here(self, blocks: Sequence[slice]) -> Iterator[SeenFrames]:
+        if len(blocks) < 2 or not device_traits(self._device).own_memory:
+            yield from self._look_through(read_ahead(self._unstaged, blocks), None)
+            return
+        with contextlib.closing(Uploads(self._device)) as uploads:
+            yield from self._look_through(read_ahead(uploads.staged(self._source.read), blocks), uploads)
+
+    def _unstaged(self, frames: slice) -> Staged:
+        return Staged(self._source.read(frames), None)
+
+    def _look_through(self, blocks: Iterator[tuple[slice, Staged]], uploads: Uploads | None) -> Iterator[SeenFrames]:
+        """Blocks of the host; those that are staged are brought to the device while the next one is read."""
         none = np.empty((0, 3), dtype=np.float32)
-        for frames, raw in read_ahead(self._source.read, blocks):
+        for frames, staged in blocks:
+            raw = staged.points
             if raw.dtype != np.float32 and not _fits_single(raw):
                 yield SeenFrames(frames, raw, none, none, raw)
                 continue
@@ -75,8 +91,19 @@ class FirstReading:
                 # float64 coordinates far from the origin keep their precision when the offset goes first.
                 self.origin = raw[0, self._used].mean(axis=0)
             points = about_origin(raw, self.origin)
-            low, high, finite = self._meter.measure(points, self.held, frames)
+            if uploads is None or staged.buffer is None:
+                low, high, finite = self._meter.measure(points, self.held, frames)
+            else:
+                low, high, finite = self._meter.measure_there(self._brought(staged, frames, uploads))
             yield SeenFrames(frames, points, low, high, None if finite else raw)
+
+    def _brought(self, staged: Staged, frames: slice, uploads: Uploads) -> wp.array:
+        """Consecutive frames on the device, where they are held or for now."""
+        if self.held is None:
+            return uploads.sent(staged)
+        block = self.held.block(frames)
+        uploads.send(staged, block)
+        return block
 
     def _blocks_there(self, source: DeviceFrames, blocks: Sequence[slice]) -> Iterator[SeenFrames]:
         self.origin = source.first_origin(self._used)

@@ -25,12 +25,10 @@ from warpqem.frames.checked_frames import BrokenPoints, check_source
 from warpqem.frames.device_frames import HeldFrames, device_blocks
 from warpqem.frames.device_source import DeviceFrames
 from warpqem.frames.stream import ArrayFrames, FrameSource, counted_frames
-from warpqem.kernels.face_check import mark_used_vertices
 from warpqem.mesh.first_reading import FirstReading, about_origin
 from warpqem.mesh.rounding import rounding_of
-from warpqem.runtime import new_arrays
+from warpqem.mesh.used_vertices import TopologyLook, used_vertices
 from warpqem.runtime.device import array_device
-from warpqem.runtime.launches import launch
 
 if TYPE_CHECKING:
     from warpqem.repair.mended_mesh import MeshRepair
@@ -61,6 +59,7 @@ class MeshInput:
         used: (V,) bool, vertices with a face.
         repair: how it comes from what the caller gave, where the topology had to be mended; the vertices and faces are
             then the mended ones.
+        is_clean: whether nothing is to be mended; None where nobody has looked.
     """
 
     source: FrameSource
@@ -69,6 +68,7 @@ class MeshInput:
     input_face_count: int
     used: np.ndarray
     repair: MeshRepair | None = field(default=None, kw_only=True)
+    is_clean: bool | None = field(default=None, kw_only=True)
 
     @property
     def frame_count(self) -> int:
@@ -154,14 +154,19 @@ def _is_trimesh(value: Any) -> bool:
 
 
 def read_mesh(
-    points: Any, faces: Any = None, admit: Callable[[int], None] | None = None, device: str | None = None
+    points: Any,
+    faces: Any = None,
+    admit: Callable[[int], None] | None = None,
+    device: str | None = None,
+    look: TopologyLook | None = None,
 ) -> MeshInput:
     """Check the shape of points (F, V, 3) or (V, 3), or a :class:`FrameSource`, and faces (N, 3).
 
     A ``trimesh.Trimesh`` as the only argument serves for both, and so does a source with ``faces``, such as a
     :class:`warpqem.MeshSequence`, and a mesh that has been read. ``admit`` is
     called with the number of faces before anything is made of them; it may raise. Faces are looked through on the
-    ``device``, and points that are there stay there; None for the host.
+    ``device``, and points that are there stay there; None for the host. Where the device has memory of its own, a
+    ``look`` at the topology comes to the host along with that.
 
     Raises:
         MeshShapeError: wrong shape or dtype.
@@ -184,27 +189,15 @@ def read_mesh(
     given = index_array(faces, "faces", ("N", 3))
     if admit is not None:
         admit(len(given))
-    used = None if device is None else _used_vertices(given, source.vertex_count, device)
-    if used is not None:
+    found = None if device is None else used_vertices(given, source.vertex_count, device, look)
+    if found is not None:
         # A copy: the caller's array may change.
-        return MeshInput(source, given.copy(), np.arange(len(given), dtype=np.int32), len(given), used)
+        own, (used, is_clean) = given.copy(), found
+        return MeshInput(source, own, np.arange(len(given), dtype=np.int32), len(given), used, is_clean=is_clean)
     kept, face_index = _proper_faces(read_faces(given, "faces", source.vertex_count))
     # Counting takes half the time of marking.
     used = np.bincount(kept.ravel(), minlength=source.vertex_count) > 0
     return MeshInput(source, kept, face_index, len(given), used)
-
-
-def _used_vertices(faces: np.ndarray, vertex_count: int, device: str) -> np.ndarray | None:
-    """(V,) bool, vertices with a face; None for faces (N, 3) of which some are unfit, or which are no plain int32."""
-    if faces.dtype != np.int32 or not faces.flags.c_contiguous or not len(faces):
-        return None
-    # The vertices, and whether a face is unfit: the host waits once.
-    marks = new_arrays.zeros(vertex_count + 1, dtype=wp.bool, device=device)
-    corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device, copy=False)
-    outputs = [marks[:vertex_count], marks[vertex_count:]]
-    launch(mark_used_vertices, len(faces), [corner_vertex], outputs, device=device)
-    found = np.array(marks.numpy())
-    return None if found[-1] else found[:-1]
 
 
 def measure_mesh(

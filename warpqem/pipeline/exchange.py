@@ -20,10 +20,12 @@ from warpqem.decimation.cluster_states import ClusterStates
 from warpqem.decimation.collapse_nodes import NodeRecorder
 from warpqem.decimation.decimate import DecimatedMesh
 from warpqem.decimation.forest_cut import CollapseForest, Cut
+from warpqem.decimation.level_faces import LevelFaces
 from warpqem.decimation.order_steps import OrderSteps
 from warpqem.frames.device_frames import DeviceSink, to_device
 from warpqem.frames.stream import ArrayFrames, ArraySink, counted_frames
 from warpqem.kernels.components import MAX_REMNANT_FACES
+from warpqem.measure.far_points import FacesAround
 from warpqem.measure.unit_frames import UnitFrames
 from warpqem.mesh.mesh_input import AnimatedMesh
 from warpqem.pipeline.cut_levels import Choice, CutLevel, LevelFrames, placer_of
@@ -96,7 +98,9 @@ class _Search:
         self._whole, self._target = work, target_faces
         log, drops = ordered.log, ordered.drops
         self._forest = CollapseForest(log, drops, len(ordered.root))
-        self._states = ClusterStates(work.mesh.faces, ordered, self._forest)
+        around = FacesAround(work.mesh.faces, len(ordered.root))
+        level_faces = LevelFaces(work.mesh.faces, around.start, around.face, ordered)
+        self._states = ClusterStates(work.mesh.faces, ordered, self._forest, level_faces)
         self._steps = OrderSteps(log, drops, len(work.mesh.faces))
         self._step = self._first_step = self._steps.to(target_faces)
         looked, keys = looked_frames(work.key_frames, np.flatnonzero(counted_frames(work.mesh.source)))
@@ -109,7 +113,7 @@ class _Search:
         self._frames = LevelFrames(self._work, mesh.points(every), points, units)
         # Where pruning alone led here there are no collapses.
         limit = SPOT * float(log.recent_error[-1]) if len(log) else 0.0
-        self._distances = LevelDistances(self._work, self._frames, limit)
+        self._distances = LevelDistances(self._work, self._frames, around, limit)
 
     def run(self, progress: Progress | None) -> DecimatedMesh:
         """The best of the cuts."""
@@ -140,8 +144,6 @@ class _Search:
         """The order's own level, placed and refitted roughly."""
         level = self._level(self._filled(self._prefix()))
         placer = self._work.placer(level.ordered, refit=True)
-        settings = replace(self._work.place_settings, softening=placer.softening)
-        self._work = replace(self._work, place_settings=settings)
         device = self._work.device
         array = DeviceSink(device) if device_traits(device).own_memory else ArraySink()
         result = without_frames(self._work, placer, level.ordered)
@@ -190,12 +192,9 @@ class _Search:
                 return None
             self._step = min(self._step + max(1, excess // FACES_PER_COLLAPSE), len(self._steps))
 
-    def _level(self, cut: Cut, known: DecimatedMesh | None = None) -> CutLevel:
-        """A level whose clusters are placed by their planes, but for those that ordering left.
-
-        ``known`` is the same level, if it was made before.
-        """
-        ordered = self._states.at(cut, known)
+    def _level(self, cut: Cut) -> CutLevel:
+        """A level whose clusters are placed by their planes, but for those that ordering left."""
+        ordered = self._states.at(cut)
         loose = np.ones(len(ordered.root), dtype=bool)
         return CutLevel(Choice(cut, loose), ordered, self._forest.last_collapses(cut))
 
@@ -209,7 +208,7 @@ class _Search:
 
     def _settled(self, best: CutLevel) -> DecimatedMesh:
         """A level, with its new clusters where their planes have them in the key frames, for what holds them."""
-        level, mesh, device = self._level(best.choice.cut, best.ordered), self._whole.mesh, self._whole.device
+        level, mesh, device = self._level(best.choice.cut), self._whole.mesh, self._whole.device
         vertex = self._states.made(level.kept)
         if len(vertex):
             clip = _clip(mesh, self._whole.key_frames)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from warpqem.measure.far_points import FacesAround
+from warpqem.measure.large_faces import LargeFaces, large_faces
 from warpqem.measure.surface_places import (
     InputVertices,
     Places,
@@ -16,8 +17,8 @@ from warpqem.measure.surface_places import (
     Side,
     SimplifiedVertices,
     furthest_of,
+    furthest_with_large,
     input_side,
-    large_faces,
 )
 from warpqem.pipeline.cut_levels import CutLevel, LevelFrames
 from warpqem.pipeline.prepare import Prepared
@@ -36,17 +37,18 @@ class LevelDistances:
     Args:
         work: the mesh, with no other frames than those to look at.
         frames: its frames and those of the levels.
+        around: its faces.
         limit: distances within it, in diagonals, are looked at no closer.
 
     Attributes:
         limit: the same, or a part of the largest distance of the first level.
     """
 
-    def __init__(self, work: Prepared, frames: LevelFrames, limit: float) -> None:
+    def __init__(self, work: Prepared, frames: LevelFrames, around: FacesAround, limit: float) -> None:
         self._mesh, self._device = work.mesh, work.device
         self._frames, self.limit = frames, limit
         vertex_count, face_count = work.mesh.vertex_count, len(work.mesh.faces)
-        self._around = FacesAround(work.mesh.faces, vertex_count)
+        self._around = around
         # How far each input vertex is, each large input face, each face of a level, by the input face that it goes on
         # from, and each of its vertices.
         self._far_vertex = np.zeros(vertex_count, dtype=np.float32)
@@ -62,7 +64,9 @@ class LevelDistances:
         At least the limit.
         """
         ordered = level.ordered
-        if moved is None:
+        # Where the host would wait for which input faces are large, it asks for that along with how far they are.
+        is_listed = moved is None and device_traits(self._device).own_memory
+        if moved is None and not is_listed:
             self._choose_large(level)
         changed = self._changed(level, moved)
         near = np.zeros(len(ordered.root), dtype=bool)
@@ -73,33 +77,72 @@ class LevelDistances:
         side = Side(level_lanes, around, around)
         vertex = np.flatnonzero(is_near & here)
         vertices = InputVertices(input_lanes, side, vertex, ordered.root[vertex])
-        corners = self._mesh.faces[self._large]
-        is_large_here = here[corners].all(axis=1)
-        self._far_large[~is_large_here] = 0.0
-        row = np.flatnonzero(is_near[corners].any(axis=1) & is_large_here)
-        large = SampledFaces(input_lanes, corners[row], ordered.root[corners[row]], side, around)
         there = self._input_side(level, near)
         faces, face = ordered.faces[changed], ordered.face_map[changed]
         own = SampledFaces(level_lanes, faces, faces, there, around)
         kept = SimplifiedVertices(level_lanes, there, np.unique(faces), around)
-        # How far vertices of the first level are decides how closely the rest is looked at; where the host would wait
-        # for that, all are looked at together, which finds the same.
-        rest = (large, own, kept)
-        if moved is None and not device_traits(self._device).own_memory:
-            (self._far_vertex[vertex],) = self._distances(vertices)
-            self._raise_limit()
-            found = self._distances(*rest)
+        places = vertices, own, kept
+        if is_listed:
+            found = self._renew_listed(level, places, side, here)
         else:
-            self._far_vertex[vertex], *found = self._distances(vertices, *rest)
-            if moved is None:
-                self._raise_limit()
-        self._far_large[row], self._far_face[face], self._far_kept[kept.vertex] = found
+            found = self._renew_known(level, places, side, here, is_near, moved is None)
+        self._far_vertex[vertex], self._far_face[face], self._far_kept[kept.vertex] = found
         parts = self._far_vertex[here], self._far_large, self._far_face[ordered.face_map], self._far_kept[level.kept]
         return max(self.limit, *(float(part.max(initial=0.0)) for part in parts))
 
-    def _raise_limit(self) -> None:
-        """Take no closer a look than a part of the largest distance of the vertices of the input."""
-        self.limit = max(self.limit, MIN_SHARE * float(self._far_vertex.max(initial=0.0)))
+    def _renew_known(
+        self,
+        level: CutLevel,
+        places: tuple[InputVertices, SampledFaces, SimplifiedVertices],
+        side: Side,
+        here: np.ndarray,
+        is_near: np.ndarray,
+        is_first: bool,
+    ) -> list[np.ndarray]:
+        """How far places are; those of large faces ``here`` (V,), known and next to ``is_near`` (V,), are put down."""
+        corners = self._mesh.faces[self._large]
+        is_large_here = here[corners].all(axis=1)
+        self._far_large[~is_large_here] = 0.0
+        row = np.flatnonzero(is_near[corners].any(axis=1) & is_large_here)
+        corners = corners[row]
+        large = SampledFaces(self._frames.reference.lanes, corners, level.ordered.root[corners], side, side.faces)
+        if is_first:
+            # How far vertices of the first level are decides how closely the rest is looked at.
+            found = self._distances(places[0])
+            self._raise_limit(found[0])
+            found += self._distances(large, *places[1:])
+        else:
+            found = self._distances(places[0], large, *places[1:])
+        self._far_large[row] = found.pop(1)
+        return found
+
+    def _renew_listed(
+        self,
+        level: CutLevel,
+        places: tuple[InputVertices, SampledFaces, SimplifiedVertices],
+        side: Side,
+        here: np.ndarray,
+    ) -> list[np.ndarray]:
+        """The same of the first level, with large faces that the device lists: all is looked at equally closely.
+
+        That finds the same.
+        """
+        lanes, root = self._frames.reference.lanes, level.ordered.root
+        listed = LargeFaces(lanes, self._around, self._frames.test.lanes, level.ordered.faces, root, self._device)
+        of_listed = SampledFaces(lanes, listed.corners, listed.clusters, side, side.faces)
+        (*found, far), rows = furthest_with_large(places, of_listed, listed, self.limit, self._device)
+        self._large = rows[1 : 1 + rows[0]].astype(np.int64)
+        if rows[0] > listed.room:
+            self._choose_large(level)
+            corners = self._mesh.faces[self._large]
+            (far,) = self._distances(SampledFaces(lanes, corners, root[corners], side, side.faces))
+        self._far_large = np.where(here[self._mesh.faces[self._large]].all(axis=1), far[: len(self._large)], 0.0)
+        self._raise_limit(found[0])
+        return found
+
+    def _raise_limit(self, far: np.ndarray) -> None:
+        """Take no closer a look than a part of the largest distance of vertices of the input."""
+        self.limit = max(self.limit, MIN_SHARE * float(far.max(initial=0.0)))
 
     def _choose_large(self, level: CutLevel) -> None:
         """The input faces that are larger than those of the first level."""

@@ -185,6 +185,9 @@ LEVEL_FACE = 120
 PLACE_FACE, PLACE_OUTPUT = 200, 2500
 # A device that the host would wait for has room for three rows of each face, of 20 bytes, in place of some 1.5.
 ROOM_FACE = 30
+# A frame of a block, on a device with memory of its own: two buffers of pinned memory and a second block of the device
+# for what is brought there; two buffers for what is brought back.
+STAGED_VERTEX, STAGED_OUTPUT = 3 * 12, 2 * 12
 # A frame of a block, for each output vertex: points and normals packed and not, as float64, as the caller's, and on
 # their way to the sink.
 FRAME_OUTPUT = 120
@@ -329,6 +332,8 @@ def _place(needs: MemoryNeeds, device: str) -> tuple[int, int]:
         fixed += LEVEL_FACE * needs.face_count if needs.memoryless else 0
     # One block is packed while another is read, and copied where it is a caller's.
     per_frame = (3 * 3 * needs.value_bytes + 24) * needs.vertex_count + FRAME_OUTPUT * needs.output_vertices
+    if device_traits(device).own_memory:
+        per_frame += STAGED_VERTEX * needs.vertex_count + STAGED_OUTPUT * needs.output_vertices
     if needs.refit:
         refit = REFIT_KEY * needs.key_frames * needs.vertex_count
         refit += REFIT_FACE * needs.face_count + REFIT_VERTEX * needs.vertex_count

@@ -19,10 +19,13 @@ from warpqem.place.place import Placer
 from warpqem.refit.fit_surface import fit_corrections
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.readback import read_together
+from warpqem.runtime.staging import Downloads, work_copies
 
 __all__ = ["FinishedFrames", "Placing", "Settling", "place_frames", "place_refitted"]
 
 Progress = Callable[[int], None] | None
+# Gives points (n, C, 3) float32 and numbers of faces (n,) int32, where they are needed.
+Brought = Callable[[], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
@@ -85,27 +88,32 @@ class _Finish:
 
     def __init__(self, work: Placing, counts_flips: bool = True) -> None:
         self._mesh, self._placer, self._counts_flips = work.mesh, work.placer, counts_flips
+        self._sink = work.sink
         self._there = work.sink if isinstance(work.sink, DeviceSink) else None
+        self._downloads = Downloads(work_copies(work.placer.device, len(work.blocks)))
         self._first = np.empty((1, 0, 3), dtype=np.float32)
         self._flips: list[np.ndarray] = []
         self._flips_there: list[wp.array] = []
         work.sink.begin(work.mesh.frame_count, work.placer.vertex_count, work.faces)
 
-    def take(self, frames: slice, placed: PlacedBlocks, write: FrameWriter[np.ndarray]) -> None:
-        """Finish consecutive frames."""
+    def take(self, frames: slice, placed: PlacedBlocks, write: FrameWriter[Brought]) -> None:
+        """Finish consecutive frames; they are brought to the host while the device works on the next ones."""
         if self._there is not None:
             placed.restored(self._mesh, self._there.room(frames))
             if self._counts_flips:
                 self._flips_there.append(self._placer.count_flips(placed))
             return
+        flips = self._placer.count_flips(placed) if self._counts_flips else None
+        write(frames, placed.begin_download(self._mesh, flips, self._downloads))
+
+    def written(self, frames: slice, brought: Brought) -> None:
+        """Hand consecutive frames to the sink, in their order."""
+        points, flips = brought()
         if self._counts_flips:
-            points, flips = placed.points_and_numbers(self._mesh, self._placer.count_flips(placed))
             self._flips.append(flips)
-        else:
-            points = placed.original_points(self._mesh)
         if frames.start == 0:
             self._first = points[:1].copy()
-        write(frames, points)
+        self._sink.write(frames, points)
 
     def finished(self) -> FinishedFrames:
         """What is known of all frames."""
@@ -116,7 +124,7 @@ class _Finish:
 def place_frames(work: Placing) -> FinishedFrames:
     """Place all frames straight from the source to the sink."""
     finish = _Finish(work)
-    with FrameWriter(work.sink.write, len(work.blocks)) as write:
+    with FrameWriter(finish.written, len(work.blocks)) as write:
         for frames, placed in work.placed():
             finish.take(frames, placed, write)
     return finish.finished()
@@ -150,7 +158,7 @@ def place_refitted(
         )
         while True:
             finish = _Finish(work, counts_flips=not roughly)
-            with FrameWriter(work.sink.write, len(work.blocks)) as write:
+            with FrameWriter(finish.written, len(work.blocks)) as write:
                 for frames, kept in read_ahead(store.read, work.blocks):
                     moved = correct(kept)
                     if settling is not None:

@@ -36,6 +36,7 @@ from warpqem.place.clusters import PlaceSettings
 from warpqem.place.place import Placer
 from warpqem.place.stiffness import MIN_STIFFNESS, cost_of_coherence
 from warpqem.repair.mended_mesh import faces_for, repaired_mesh, repaired_options
+from warpqem.repair.mended_topology import look_for_unclean
 from warpqem.runtime.device import resolve_device
 from warpqem.runtime.thread_limit import limit_threads, worthwhile_threads
 
@@ -178,7 +179,8 @@ def prepare(
     options = options.checked()
     spec = cost_model(options.metric)
     device = resolve_device(options.device)
-    read = read_mesh(points, faces, partial(admit_faces, limit=options.memory, device=device), device)
+    admit = partial(admit_faces, limit=options.memory, device=device)
+    read = read_mesh(points, faces, admit, device, look_for_unclean)
     # For all that is done with it in this call, by whatever number of threads: the bits are the same.
     limit_threads(worthwhile_threads(len(read.faces), read.frame_count))
     given = repaired_mesh(read, device)

@@ -7,6 +7,7 @@ so how they are cut into blocks makes no difference to a single bit.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,6 +21,7 @@ from warpqem.kernels.lanes import width_of
 from warpqem.mesh.mesh_input import AnimatedMesh
 from warpqem.runtime import new_arrays
 from warpqem.runtime.part_launches import FIRST_ITEM, PerPart, columns_of, launch_in_parts, rows_of
+from warpqem.runtime.staging import Downloads
 
 __all__ = ["BlockPlacer", "ClusterData", "PlacedBlocks", "PlacedFrames", "pack_block"]
 
@@ -81,15 +83,28 @@ class PlacedBlocks:
         found: np.ndarray = self.restored(mesh).numpy()
         return found
 
-    def points_and_numbers(self, mesh: AnimatedMesh, number: wp.array) -> tuple[np.ndarray, np.ndarray]:
-        """The same, and ``number`` (n,) int32 of the device, by one copy to the host."""
+    def begin_download(
+        self, mesh: AnimatedMesh, number: wp.array | None, downloads: Downloads
+    ) -> Callable[[], tuple[np.ndarray, np.ndarray]]:
+        """Begin to bring the same and ``number`` (n,) int32 of the device to the host, by one copy.
+
+        What gives both, where they are needed: none of the latter where there is none.
+        """
         shape = (len(self.source), len(self.points), 3)
         size = math.prod(shape)
-        rows = new_arrays.empty(size + len(number), dtype=wp.float32, device=self.points.device)
+        rows = new_arrays.empty(
+            size + (0 if number is None else len(number)), dtype=wp.float32, device=self.points.device
+        )
         self.restored(mesh, rows[:size].reshape(shape).view(wp.vec3))
-        wp.copy(rows[size:].view(wp.int32), number)
-        brought = rows.numpy()
-        return brought[:size].reshape(shape), brought[size:].view(np.int32)
+        if number is not None:
+            wp.copy(rows[size:].view(wp.int32), number)
+        download = downloads.begin(rows)
+
+        def brought() -> tuple[np.ndarray, np.ndarray]:
+            numbers = download.result()
+            return numbers[:size].reshape(shape), numbers[size:].view(np.int32)
+
+        return brought
 
     def restored(self, mesh: AnimatedMesh, out: wp.array | None = None) -> wp.array:
         """The same on the device, (n, C) points, in ``out`` if that is given."""
@@ -188,38 +203,32 @@ class BlockPlacer:
             new_arrays.uploaded(values, dtype=wp.int32, device=self._device) for values in (copied_from, copied)
         )
 
-    def measure_stiffness(
-        self, key_position: wp.array, key_count: int, stiffness: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def measure_stiffness(self, key_position: wp.array, key_count: int, choices: wp.array) -> wp.array:
         """What clusters would have with each stiffness; nothing is changed.
 
         Args:
             key_position: (V, B) blocks of points, the input on the key frames, in diagonals.
             key_count: key frames K in these.
-            stiffness: (C, STEPS) float32, those to try.
+            choices: (C, STEPS) float32 on the device, those to try.
 
         Returns:
-            error: (C, STEPS) float32, area times squared distance from their planes, sums over the key frames, in
-                diagonals^4.
-            wander: (C, STEPS) float32, squared distance from where their vertex is in the mean, beside its anchor, in
-                diagonals squared, sums likewise.
-            area: (C,) float32, sum of what the planes weigh, in diagonals squared.
+            (C, 2 STEPS + 1) float32 on the device, sums over the key frames: area times squared distance from their
+            planes, in diagonals^4; squared distance from where their vertex is in the mean, beside its anchor, in
+            diagonals squared; and what the planes weigh, in diagonals squared.
 
         Raises:
             ValueError: more or fewer stiffnesses are given.
         """
-        (count, steps), block_count, device = stiffness.shape, key_position.shape[1], self._device
+        (count, steps), block_count = choices.shape, key_position.shape[1]
         if steps != int(kernels.STEPS):
             # The kernel would write past the end.
             raise ValueError(f"{steps} stiffnesses of each cluster, {int(kernels.STEPS)} are tried")
-        choices = wp.array(stiffness, dtype=wp.float32, device=device, copy=False)
-        sums = new_arrays.empty((count, 2 * steps + 1), dtype=wp.float32, device=device)
+        sums = new_arrays.empty((count, 2 * steps + 1), dtype=wp.float32, device=self._device)
         at_once = max(1, MAX_MEASURED // max(1, block_count * steps))
         for first in range(0, count, at_once):
             part = sums if count <= at_once else sums[first : min(first + at_once, count)]
             self._sum_stiffness(key_position, key_count, choices, first, part)
-        found = sums.numpy()
-        return found[:, :steps], found[:, steps : 2 * steps], found[:, 2 * steps]
+        return sums
 
     def _sum_stiffness(
         self, key_position: wp.array, key_count: int, choices: wp.array, first: int, sums: wp.array
@@ -245,10 +254,9 @@ class BlockPlacer:
         )
         launch_in_parts(kernels.sum_stiffness, count, [*found, key_count], [rows_of(sums)], device=device)
 
-    def set_stiffness(self, stiffness: np.ndarray) -> None:
-        """Hold clusters to their anchors from now on with this stiffness (C,), relative to their quadrics."""
-        self._data.rows["stiffness"] = stiffness
-        self._clusters.stiffness = new_arrays.uploaded(stiffness, dtype=wp.float32, device=self._device)
+    def set_stiffness(self, stiffness: wp.array) -> None:
+        """Hold clusters to their anchors from now on with this stiffness (C,) float32, relative to their quadrics."""
+        self._data.rows["stiffness"] = self._clusters.stiffness = stiffness
 
     def place(self, mesh: AnimatedMesh, points: wp.array, packed: wp.array | None = None) -> PlacedBlocks:
         """Place some frames of the mesh, given about its origin: (n, V) points on the device.

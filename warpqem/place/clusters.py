@@ -12,15 +12,15 @@ from warpqem.decimation.decimate import DecimatedMesh
 from warpqem.decimation.initial_quadrics import CONSTRAINT_WEIGHT
 from warpqem.decimation.quadric_sums import QuadricSums
 from warpqem.kernels import cluster_rows as kernels
-from warpqem.kernels.placement import STEPS
 from warpqem.mesh.mesh_input import AnimatedMesh
+from warpqem.mesh.seams import half_edge_ends
 from warpqem.place.anchors import Clusters, fit_anchors, nearest_anchors
 from warpqem.place.block_placer import BlockPlacer, ClusterData, PlacedBlocks
 from warpqem.place.cluster_rows import ClusterFaces, match_keys, sum_repeated
+from warpqem.place.softness import chosen_stiffness
 from warpqem.place.stiffness import (
     MIN_REGULARISATION,
     MIN_STIFFNESS,
-    choose_softness,
     recent_errors,
     softer_choices,
     stiffness_by_size,
@@ -82,8 +82,9 @@ class ClusterPlacer:
             input vertices, are not pinned, and no corner of a seam.
         seam: half-edges of the input's seams, both of each edge.
         on_seam: (C,) bool, vertices that stand for one on a seam.
+        border: half-edges of the input without an opposite one.
+        is_open: (C,) bool, vertices at which there may be such half-edges of the output.
         nearest: (C,) int32 on the device, an input vertex of each cluster near to its anchor.
-        softening: halvings of the stiffness that all clusters have at least.
         copied_count: vertices M that are copies of an input vertex.
         copied: (M,) int32 on the device, these vertices.
         clusters: what placing a block of frames takes.
@@ -104,7 +105,8 @@ class ClusterPlacer:
     ) -> None:
         self._settings, self.device = settings, device
         self.vertex_count = len(kept)
-        pinned = (pinned | ordered.non_manifold)[kept]
+        non_manifold = ordered.non_manifold[kept]
+        pinned = pinned[kept] | non_manifold
         clusters = Clusters.of(cluster, ordered.line_rank, len(kept), device)
         size = clusters.size
         stiffness, regularisation = stiffness_by_size(size, settings.epsilon, settings.regularisation)
@@ -126,7 +128,10 @@ class ClusterPlacer:
         half_edge = np.flatnonzero(ordered.constrained)
         kind = ordered.constrained[half_edge]
         self.seam = half_edge[kind >= 2]
-        self.on_seam = _on_seam(faces, self.seam, cluster, len(kept))
+        # Both their faces have them.
+        self.on_seam = _holding(faces.ravel()[self.seam], cluster, len(kept))
+        self.border = half_edge[kind % 2 == 1]
+        self.is_open = _holding(half_edge_ends(faces, self.border), cluster, len(kept)) | non_manifold
         weight = np.where(kind == 1, CONSTRAINT_WEIGHT[1], SEAM_WEIGHT)
         self.clusters = ClusterData(
             corner_vertex=corner_vertex,
@@ -141,32 +146,38 @@ class ClusterPlacer:
             },
         )
         self._blocks = BlockPlacer(self.clusters, device)
-        self.softening = settings.softening
+        self._softest: wp.array | None = None
         choices = softer_choices(stiffness)
         # Where no cluster has a choice, the device is not asked.
         if not settings.endpoint and (choices[:, 0] > choices[:, -1]).any():
-            error, wander, area = self._blocks.measure_stiffness(ordered.key_position, ordered.key_count, choices)
+            there = wp.array(choices, dtype=wp.float32, device=device, copy=False)
+            sums = self._blocks.measure_stiffness(ordered.key_position, ordered.key_count, there)
             recent = recent_errors(ordered.log, kept)
-            chosen = choose_softness(error, wander, area, recent, settings.coherence_cost, settings.softening)
-            self.softening = int(chosen.min(initial=int(STEPS) - 1))
-            self._blocks.set_stiffness(choices[np.arange(len(kept)), chosen])
+            chosen = chosen_stiffness(sums, there, recent, settings.coherence_cost, settings.softening)
+            self._softest = chosen.softest
+            self._blocks.set_stiffness(chosen.stiffness)
         # A vertex that is not solved for is copied, so that it keeps its bits: the one that its anchor is.
         copied = np.flatnonzero(solved == 0)
         copied_from = self.nearest.numpy() if settings.endpoint else kept[copied]
         self._blocks.copy_vertices(copied_from, copied)
         self.copied, self.copied_count = self._blocks.copied, len(copied)
 
+    @property
+    def softening(self) -> int:
+        """Halvings of the stiffness that all clusters have at least; the device is asked."""
+        return self._settings.softening if self._softest is None else int(self._softest.numpy()[0])
+
     def place(self, mesh: AnimatedMesh, points: wp.array, packed: wp.array | None = None) -> PlacedBlocks:
         """Place some frames of the mesh, given about its origin: (n, V) points; see :class:`BlockPlacer`."""
         return self._blocks.place(mesh, points, packed)
 
 
-def _on_seam(faces: np.ndarray, seams: np.ndarray, cluster: np.ndarray, cluster_count: int) -> np.ndarray:
-    """(C,) bool, clusters that hold a vertex of a seam, of the half-edges of seams, which both their faces have."""
-    owner = cluster[faces.ravel()[seams]]
-    on_seam = np.zeros(cluster_count, dtype=bool)
-    on_seam[owner[owner >= 0]] = True
-    return on_seam
+def _holding(vertex: np.ndarray, cluster: np.ndarray, cluster_count: int) -> np.ndarray:
+    """(C,) bool, clusters that hold one of some input vertices."""
+    owner = cluster[vertex]
+    holding = np.zeros(cluster_count, dtype=bool)
+    holding[owner[owner >= 0]] = True
+    return holding
 
 
 def _own_faces(

@@ -33,7 +33,8 @@ class ComponentLimits:
         corners: (N, 3) int32, the input's faces, as ``matching`` has them.
         vertex_map: (V,) int32, input vertex to output vertex.
         faces: (N', 3) int32, the output's.
-        frame_scale: (K,) float32, what multiplies the distances of each key frame from a component's own part.
+        frame_scale: (K,) float32 on the device, what multiplies the distances of each key frame from a component's own
+            part.
         device: Warp device.
 
     Attributes:
@@ -48,7 +49,7 @@ class ComponentLimits:
         corners: np.ndarray,
         vertex_map: np.ndarray,
         faces: np.ndarray,
-        frame_scale: np.ndarray,
+        frame_scale: wp.array,
         device: str,
     ) -> None:
         self._matching, self._device = matching, device
@@ -59,7 +60,7 @@ class ComponentLimits:
         self._component = np.unique(lowest[faces[:, 0]], return_inverse=True)[1]
         self.sampled = sampled = kernels.Limits()
         count = int(self._component.max(initial=-1)) + 1
-        sampled.frame_scale = new_arrays.uploaded(frame_scale, dtype=wp.float32, device=device)
+        sampled.frame_scale = frame_scale
         sampled.component = wp.array(self._component, dtype=wp.int32, device=device)
         sampled.squared, sampled.own_squared = (
             wp.full(count, SMALLEST_DISTANCE**2, dtype=wp.float32, device=device) for _ in range(2)
@@ -70,6 +71,7 @@ class ComponentLimits:
         sampled.vertex_component = wp.array(of_input, dtype=wp.int32, device=device)
         sampled.far = new_arrays.zeros(vertex_count, dtype=wp.int32, device=device)
         self._own: OwnParts | None = None
+        self._room: int | None = None
 
     def mark_far(self, moved: wp.array) -> wp.array:
         """(C,) int32 on the device, 1 at vertices of places further away than any of their component was as placed.
@@ -83,6 +85,18 @@ class ComponentLimits:
             self._own = self._make_own_parts()
         self._own.mark_far(moved, self.sampled.far)
         return self.sampled.far
+
+    @property
+    def large_count(self) -> wp.array | None:
+        """(1,) int32 on the device: what :meth:`mark_far` may not have had room for; None where it has."""
+        return None if self._own is None else self._own.large_count
+
+    def has_room(self, large_count: int) -> bool:
+        """Whether there was room for so many large faces; else there is from now on, and places are looked at again."""
+        if self._own is None or large_count <= self._own.room:
+            return True
+        self._own, self._room = None, large_count
+        return False
 
     def whole_components(self, marked: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
         """(C,) bool, all vertices of the components that some vertices (C,) bool are of."""
@@ -103,4 +117,5 @@ class ComponentLimits:
             self.sampled.own_squared,
             self.sampled.frame_scale,
             self._device,
+            self._room,
         )

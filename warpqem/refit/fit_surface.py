@@ -9,6 +9,7 @@ every frame were measured too: they gain 2 % more and slide.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -29,8 +30,9 @@ from warpqem.refit.component_limits import ComponentLimits
 from warpqem.refit.holds import Holds
 from warpqem.refit.matching import Matching, make_surface
 from warpqem.refit.material_frames import MaterialFrames
-from warpqem.refit.scales import frame_scale, read_scales
-from warpqem.refit.seam_edges import find_seams
+from warpqem.refit.reference import Reference
+from warpqem.refit.scales import FitSizes
+from warpqem.refit.seam_edges import find_borders, find_seams
 from warpqem.refit.solve import ElementSolver
 from warpqem.runtime import new_arrays
 from warpqem.runtime.device import device_traits
@@ -48,18 +50,10 @@ ROUGH_ROUNDS = 2
 # no more than the rest of the job. One frame for each sample gives away 0.5 % of the error, as samples take turns.
 FRAMES_PER_TURN = 48
 
-# Stiffness of corrections, relative to the area they stand for: along the surface, across it; and on the relative
-# change of edge lengths. Twice as much fits 0.6 % worse and changes edges 2 % less.
+# Stiffness of corrections, relative to the area they stand for: along the surface, across it.
 TANGENT_STIFFNESS = 0.001
 NORMAL_STIFFNESS = 0.00008
-EDGE_STIFFNESS = 0.002
 
-# Distances from the output to the input count twice: without that the input's many samples in sharp places draw the
-# output inwards there.
-OUTPUT_SHARE = 2.0
-
-# A border counts as a strip beside it, so wide in mean edge lengths of the output.
-BORDER_WIDTH = 0.5
 # Pairs further apart than so many times the largest error of a collapse are left out: there the search for the nearest
 # point got lost. The surfaces themselves are nowhere further apart than about three times that.
 REACH = 4.0
@@ -82,6 +76,8 @@ MIN_DOUBTED = 1e-6
 # Where the host would wait to see whether vertices are held back, they are held so often before it looks: a time that
 # changes nothing takes the device less than the host would wait. The gallop takes one to four.
 HELD_AT_ONCE = 4
+# A rough fit is only looked at: it may still turn a face over.
+HELD_ROUGHLY = 4
 
 
 def fit_corrections(
@@ -122,7 +118,7 @@ def fit_corrections(
     for left in reversed(range((ROUGH_ROUNDS if roughly else ROUNDS) - 1)):
         # So do the last ones: of twelve clips the error is 0.3 % more without, of assemblies 1 %.
         fit.improve(reach, search=left == 0 and not roughly)
-    fit.hold_back(to_the_end=roughly)
+    fit.hold_back(HELD_ROUGHLY if roughly else None)
     if roughly:
         return fit.apply
     for _ in range(ATTEMPTS):
@@ -183,16 +179,16 @@ class _Refit:
         self._keys = self._all_frames.of(keys)
         self._equations = self._make_equations()
         self._solver = ElementSolver(self._equations.elements)
-        self._scales, nearest = read_scales(keys.points, placer.faces, self._corner_vertex, placer.nearest)
-        self._turns = max(1, min(len(key_frames), mesh.frame_count // FRAMES_PER_TURN))
+        turns = max(1, min(len(key_frames), mesh.frame_count // FRAMES_PER_TURN))
+        self._sizes = FitSizes.of(keys.points, placer.faces, self._corner_vertex, self._vertex_count, turns)
         # Of a pruned component nothing is near to the output.
         is_left = placer.vertex_map[mesh.faces[:, 0]] >= 0
         faces = mesh.faces[is_left]
         seams = find_seams(placer.seam, mesh.faces, is_left, placer.vertex_map, self._faces, self._vertex_count)
         corner_vertex = new_arrays.uploaded(faces.ravel(), dtype=wp.int32, device=device)
-        reference = mesh.to_unit(mesh.chosen_points(key_frames))
+        reference = Reference.of(mesh, key_frames, device)
         source = make_surface(
-            new_arrays.uploaded(reference, dtype=wp.vec3, device=device),
+            reference.points,
             corner_vertex,
             build_adjacency(corner_vertex, mesh.vertex_count),
             seams[0].marks,
@@ -204,9 +200,10 @@ class _Refit:
             placer.vertex_map,
             faces,
             placer.faces,
-            nearest,
-            self._turns,
-            BORDER_WIDTH * self._scales.edge_squared**0.5,
+            placer.nearest,
+            turns,
+            self._sizes.values,
+            find_borders(placer.border, is_left, self._faces, placer.is_open),
             (seams[0].half_edge, seams[1].half_edge),
             device,
         )
@@ -220,14 +217,14 @@ class _Refit:
             faces,
             placer.vertex_map,
             self._faces,
-            frame_scale(reference[:, mesh.used]),
+            reference.frame_scale,
             device,
         )
 
     @property
     def has_no_area(self) -> bool:
-        """Whether all faces are lines or points: such a surface says nothing of where to move."""
-        return self._scales.area == 0.0
+        """Whether the host knows that all faces are lines or points: such a surface says nothing of where to move."""
+        return self._sizes.is_flat
 
     def _make_rings(self, first: PlacedFrames) -> frame_kernels.OneRings:
         rings = frame_kernels.OneRings()
@@ -242,18 +239,17 @@ class _Refit:
         """One round: pair the surfaces as they lie now, and solve for the corrections.
 
         A surface without area, such as one that is flattened to a line, stays as it is: it has nothing to fit to.
+        There the device solves nothing where the host does not know.
 
         Args:
             reach: points further apart are no pair.
             search: walks that end at no partner are followed by a search.
             take_limits: let the distances of each component come to what they are now; this needs the search.
         """
-        if not self._scales.area > 0.0:
-            return
         self._keys.move(self._correction, self._moved)
         self._matching.find(reach, search, raise_limits if take_limits else None, self._limits.sampled)
         self._assemble()
-        wp.copy(self._correction, self._solve())
+        wp.copy(self._correction, self._solve(self._sizes.has_area))
 
     def _make_equations(self) -> _Equations:
         elements, device, face_count = Elements(), self._device, len(self._faces)
@@ -269,10 +265,6 @@ class _Refit:
 
     def _assemble(self) -> None:
         """Make the normal equations of the last pairs, found on the surface as it is corrected now."""
-        # One for a vertex's share of the area.
-        unit = self._vertex_count / (self._scales.area * self._turns)
-        mass = (1.0 + OUTPUT_SHARE) * self._turns * unit
-        edge_weight = EDGE_STIFFNESS / 6.0 / len(self._keys.points)
         equations = self._equations
         launch(
             kernels.assemble_elements,
@@ -283,9 +275,7 @@ class _Refit:
                 self._matching.input_start,
                 self._matching.input_order,
                 self._matching.output_pairs,
-                wp.vec3(unit, OUTPUT_SHARE * unit, edge_weight),
-                self._scales.edge_squared,
-                mass,
+                self._sizes.values,
                 self._keys.points,
                 self._keys.frames,
                 self._correction,
@@ -308,7 +298,7 @@ class _Refit:
         )
         return self._solver.solve(equations.right, wanted)
 
-    def hold_back(self, to_the_end: bool = False) -> None:
+    def hold_back(self, most: int | None = None) -> None:
         """Stiffen vertices that turn a face over in some frame, and at last do not move them.
 
         Likewise those that would go further than an edge is long in the mean: no pair is there, and few faces far off
@@ -318,14 +308,18 @@ class _Refit:
         more than its own share of the fit.
 
         Args:
-            to_the_end: Wait for the device to be through. Else :meth:`far_vertices` sees to it.
+            most: So often at most; None for as often as it takes. Where the host would wait to see,
+                :meth:`far_vertices` sees to that.
         """
         # Where frames come one block after another, looking through them takes longer than a wait.
-        ahead = device_traits(self._device).own_memory and self._all_frames.is_kept
-        while True:
-            for _ in range(HELD_AT_ONCE if ahead else 1):
+        if device_traits(self._device).own_memory and self._all_frames.is_kept:
+            for _ in range(HELD_AT_ONCE if most is None else most):
                 self._hold_once()
-            if (ahead and not to_the_end) or not self._holds.any_marked.numpy()[0]:
+            return
+        times = itertools.count() if most is None else range(most)
+        for _ in times:
+            self._hold_once()
+            if not self._holds.any_marked.numpy()[0]:
                 return
 
     def _hold_once(self) -> None:
@@ -333,7 +327,7 @@ class _Refit:
         launch(
             frame_kernels.mark_long_corrections,
             dim=self._vertex_count,
-            inputs=[self._correction, self._scales.edge_squared],
+            inputs=[self._correction, self._sizes.values],
             outputs=[marks],
             device=self._device,
         )
@@ -372,10 +366,17 @@ class _Refit:
         """
         while True:
             self._keys.move(self._correction, self._moved)
-            marks, any_marked = read_together(self._limits.mark_far(self._moved), self._holds.any_marked)
-            if not any_marked[0]:
+            far = self._limits.mark_far(self._moved)
+            asked = [self._holds.any_marked, self._sizes.has_area]
+            if self._limits.large_count is not None:
+                asked.append(self._limits.large_count)
+            marks, any_marked, has_area, *large = read_together(far, *asked)
+            if not has_area[0]:
+                return np.zeros(self._vertex_count, dtype=bool)
+            if any_marked[0]:
+                self.hold_back()
+            elif not large or self._limits.has_room(int(large[0][0])):
                 return marks != 0
-            self.hold_back()
 
     def pair_again(self, reach: float) -> None:
         """Pair the surfaces as :meth:`far_vertices` looked at them, so that others adapt to what is held."""

@@ -11,6 +11,7 @@ from warpqem.decimation.adjacency import Adjacency, build_adjacency
 from warpqem.kernels import surface_limits as limit_kernels
 from warpqem.kernels import surface_pairs as kernels
 from warpqem.kernels import surface_walk as walk_kernels
+from warpqem.kernels.refit import BORDER_WIDTH, SEAM_WIDTH
 from warpqem.kernels.surface_limits import Limits, Samples
 from warpqem.kernels.surface_walk import Surface
 from warpqem.runtime import new_arrays
@@ -44,9 +45,6 @@ OUTPUT_SAMPLES = np.array(
 # Points on an edge of a border or seam. Output edges are long, and the line leaves them anywhere between their ends.
 INPUT_LINE_SAMPLES = 1
 OUTPUT_LINE_SAMPLES = 4
-# What a length of seam counts of what a border of that length does. The whole is 3 % more of the distance on characters
-# for 2 % less of the texture error.
-SEAM_SHARE = 0.3
 
 
 def make_surface(
@@ -83,10 +81,12 @@ class Matching:
         vertex_map: (V,) int32, input vertex to output vertex, -1 for a vertex without a face.
         faces: (N, 3) int32, the input's.
         out_faces: (N', 3) int32.
-        nearest: (C,) int32, an input vertex near to each output vertex, on a border where that is.
+        nearest: (C,) int32 on the device, an input vertex near to each output vertex, on a border where that is.
         turns: frames in which each sample is paired.
-        border_width: a length of border counts as a strip so wide, in diagonals.
-        seams: half-edges of seams of the input and of the output, one of each edge.
+        sizes: (SIZES,) float32 on the device, see :class:`warpqem.refit.scales.FitSizes`: lengths of borders and seams
+            count as strips so wide.
+        borders: half-edges without an opposite one of the input and of the output.
+        seams: half-edges of seams of both, one of each edge.
         device: Warp device.
 
     Attributes:
@@ -103,21 +103,21 @@ class Matching:
         vertex_map: np.ndarray,
         faces: np.ndarray,
         out_faces: np.ndarray,
-        nearest: np.ndarray,
+        nearest: wp.array,
         turns: int,
-        border_width: float,
+        sizes: wp.array,
+        borders: tuple[np.ndarray, np.ndarray],
         seams: tuple[np.ndarray, np.ndarray],
         device: str,
     ) -> None:
         self._source, self._target, self._turns, self._device = source, target, turns, device
         self._face_count = len(out_faces)
         self._to_output = new_arrays.uploaded(vertex_map, dtype=wp.int32, device=device)
-        self._to_input = new_arrays.uploaded(nearest, dtype=wp.int32, device=device)
+        self._to_input, self._sizes = nearest, sizes
         self._hierarchies = _Hierarchy(source), _Hierarchy(target)
-        on_device = [new_arrays.uploaded(half_edge, dtype=wp.int32, device=device) for half_edge in seams]
-        self._lines = (
-            (_border_half_edges(source, target), border_width),
-            (on_device, SEAM_SHARE * border_width),
+        self._lines = tuple(
+            ([new_arrays.uploaded(half_edge, dtype=wp.int32, device=device) for half_edge in half_edges], width)
+            for half_edges, width in ((borders, BORDER_WIDTH), (seams, SEAM_WIDTH))
         )
         self._sample_count = (len(faces) + len(vertex_map)) * turns
         # Two pairs at each point of a border or seam.
@@ -231,7 +231,7 @@ class Matching:
                 surfaces = [target, source] if is_output else [source, target]
                 start = self._to_input if is_output else self._to_output
                 count = len(half_edge) * per_edge * self._turns
-                inputs = [reach, *surfaces, is_output, on_seams, half_edge, start, per_edge, width, first]
+                inputs = [reach, *surfaces, is_output, on_seams, half_edge, start, per_edge, self._sizes, width, first]
                 if count:
                     keys = range(len(source.points))
                     self._launch(kernels.match_line_samples, keys, count, inputs, self.input_pairs)
@@ -275,26 +275,6 @@ class _Hierarchy:
         """Fit it to a frame of a surface of the same faces."""
         wp.copy(self._mesh.points, surface.points[key])
         self._mesh.refit()
-
-
-def _border_half_edges(*surfaces: Surface) -> list[wp.array]:
-    """(B,) int32 of each; their numbers come to the host together."""
-    device = surfaces[0].opposite.device
-    found = new_arrays.zeros(len(surfaces), dtype=wp.int32, device=device)
-    before = []
-    for number, surface in enumerate(surfaces):
-        marks = wp.empty_like(surface.opposite)
-        launch(walk_kernels.mark_border, len(marks), [surface.opposite], [marks], device=device)
-        wp.utils.array_scan(marks, marks, inclusive=True)
-        if len(marks):
-            wp.copy(found, marks, dest_offset=number, src_offset=len(marks) - 1, count=1)
-        before.append(marks)
-    lists = [new_arrays.empty(int(count), dtype=wp.int32, device=device) for count in found.numpy()]
-    for surface, marks, half_edge in zip(surfaces, before, lists, strict=True):
-        if len(half_edge):
-            inputs = [surface.opposite, marks]
-            launch(walk_kernels.list_border, len(marks), inputs, [half_edge], device=device)
-    return lists
 
 
 def _line_samples(half_edges: Sequence[wp.array]) -> tuple[int, int]:

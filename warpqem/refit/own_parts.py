@@ -18,6 +18,7 @@ from warpqem.kernels import distance_points as distance_kernels
 from warpqem.kernels import surface_limits as kernels
 from warpqem.kernels.lanes import width_of
 from warpqem.measure.far_points import FacesAround
+from warpqem.measure.large_faces import LargeFaces, large_faces
 from warpqem.measure.surface_places import (
     InputVertices,
     Places,
@@ -25,13 +26,14 @@ from warpqem.measure.surface_places import (
     Side,
     SimplifiedVertices,
     input_side,
-    large_faces,
     squared_distances,
 )
 from warpqem.mesh.edges import edge_key
 from warpqem.runtime import new_arrays
+from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import launch
 from warpqem.runtime.part_launches import launch_in_parts, rows_of
+from warpqem.runtime.readback import joined
 
 __all__ = ["OwnParts"]
 
@@ -54,7 +56,7 @@ FAR = 1e30
 class OwnParts:
     """How far components may be from their own parts of the input: what they were as placed, and a little more.
 
-    Nothing of it comes to the host but which faces are large.
+    Where the host would wait for which faces are large, nothing of it comes to the host.
 
     Args:
         source: (K, V) vec3, key frames of the input.
@@ -67,6 +69,12 @@ class OwnParts:
             kept, and raised to what it had at all places.
         frame_scale: (K,) float32 on the device, what multiplies distances of each frame.
         device: Warp device.
+        room: large faces that there is room for where the host does not know them; None for as many as there mostly
+            are.
+
+    Attributes:
+        large_count: (1,) int32 on the device, how many large faces there are; None where the host knows.
+        room: those that there is room for.
     """
 
     def __init__(
@@ -80,6 +88,7 @@ class OwnParts:
         limits: wp.array,
         frame_scale: wp.array,
         device: str,
+        room: int | None = None,
     ) -> None:
         self._device, self._limits, self._scale = device, limits, frame_scale
         self._component = wp.array(component, dtype=wp.int32, device=device)
@@ -91,7 +100,16 @@ class OwnParts:
         is_used = np.zeros(len(vertex_map), dtype=bool)
         is_used[corners] = True
         used = np.flatnonzero(is_used)
-        large = corners[large_faces(reference, around, self._lanes, faces, device)]
+        is_asked = not device_traits(device).own_memory
+        listed = None
+        if is_asked:
+            large = corners[large_faces(reference, around, self._lanes, faces, device)]
+            of_large = SampledFaces(reference, large, vertex_map[large], output, around_output)
+        else:
+            listed = LargeFaces(reference, around, self._lanes, faces, vertex_map, device, room)
+            of_large = SampledFaces(reference, listed.corners, listed.clusters, output, around_output)
+        self.large_count = None if listed is None else listed.rows[:1]
+        self.room = 0 if listed is None else listed.room
         own = component[faces[:, 0]]
         is_small = np.bincount(own) <= FEW_FACES
         few = is_small[own]
@@ -100,16 +118,22 @@ class OwnParts:
         of_input = InputVertices(reference, output, used, vertex_map[used])
         of_output = SimplifiedVertices(self._lanes, input_faces, np.unique(faces), around_output)
         points = [
-            SampledFaces(reference, large, vertex_map[large], output, around_output),
+            of_large,
             SampledFaces(reference, edges, vertex_map[edges[:, :2]], output, around_output, MIDDLE_OF_EDGE),
             SampledFaces(self._lanes, faces[~few], faces[~few], input_faces, around_output),
             SampledFaces(self._lanes, edges_of_few, edges_of_few[:, :2], input_faces, around_output, POINTS_OF_EDGE),
             SampledFaces(self._lanes, faces[few], faces[few], input_faces, around_output, POINTS_OF_FACE),
         ]
-        begin = _rows_of_corners(points[:2], used), len(used) + _rows_of_corners(points[2:], of_output.vertex)
-        self._look = self._looked_at([of_input, of_output], points, np.concatenate(begin))
+        row = _rows(used)
+        begin = [_rows_of_corners(one, row) for one in points[listed is not None : 2]]
+        row_of_output = len(used) + _rows(of_output.vertex)
+        begin += [_rows_of_corners(one, row_of_output) for one in points[2:]]
+        there = new_arrays.uploaded(np.concatenate(begin), dtype=wp.int32, device=device)
+        if listed is not None:
+            there = joined([listed.rows_of_corners(row, of_large.weights.argmax(axis=1)).reshape(-1), there])
+        self._look = self._looked_at([of_input, of_output], points, there)
 
-    def _looked_at(self, vertices: Sequence[Places], points: Sequence[Places], begin: npt.NDArray[np.int32]) -> _Look:
+    def _looked_at(self, vertices: Sequence[Places], points: Sequence[Places], begin: wp.array) -> _Look:
         """A look at vertices and points of faces, which raises the limits to how far they are.
 
         How far vertices are decides how closely points are looked at. Each of them, (m,), begins where the vertex in a
@@ -121,8 +145,7 @@ class OwnParts:
         most = new_arrays.full(count + len(begin), FAR, dtype=wp.float32, device=device)
         _Look(vertices, component, nearest[:count], most[:count], device).raise_limits(self._limits)
         if len(begin):
-            rows = wp.array(begin, dtype=wp.int32, device=device)
-            launch(kernels.begin_at_vertices, len(begin), [nearest, rows], [nearest[count:]], device=device)
+            launch(kernels.begin_at_vertices, len(begin), [nearest, begin], [nearest[count:]], device=device)
             _Look(points, component, nearest[count:], most[count:], device).raise_limits(self._limits)
         return _Look([*vertices, *points], component, nearest, most, device)
 
@@ -150,11 +173,16 @@ def _edges(faces: npt.NDArray[np.integer], vertex_count: int) -> npt.NDArray[np.
     return np.column_stack([first, second, second]).astype(np.int32)
 
 
-def _rows_of_corners(places: Sequence[SampledFaces], vertex: npt.NDArray[np.integer]) -> npt.NDArray[np.int32]:
-    """(m,) int32, the rows in ``vertex`` (n,), ascending, of the corner that each point of faces is nearest to."""
+def _rows(vertex: npt.NDArray[np.integer]) -> npt.NDArray[np.int32]:
+    """Where each vertex is among some of them (n,), ascending; up to the last of these."""
     row = np.zeros(int(vertex.max(initial=-1)) + 1, dtype=np.int32)
     row[vertex] = np.arange(len(vertex))
-    return np.concatenate([row[one.faces[:, one.weights.argmax(axis=1)]].ravel() for one in places])
+    return row
+
+
+def _rows_of_corners(places: SampledFaces, row: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
+    """(m,) int32, the ``row`` of the corner that each point of faces is nearest to."""
+    return row[places.faces[:, places.weights.argmax(axis=1)]].ravel()
 
 
 class _Look:
@@ -177,7 +205,10 @@ class _Look:
         self._count = 0
         for one in self._places:
             group = kernels.PlacesOfVertices()
-            group.vertex = wp.array(one.clusters.astype(np.int32), dtype=wp.int32, device=device)
+            clusters = one.clusters
+            if not isinstance(clusters, wp.array):
+                clusters = wp.array(clusters.astype(np.int32), dtype=wp.int32, device=device)
+            group.vertex = clusters
             group.points, group.component = one.points_of_each, component
             first, self._count = self._count, self._count + one.count * one.points_of_each
             self._groups.append((group, slice(first, self._count)))

@@ -1,4 +1,4 @@
-"""Seams of the input and what became of them on the output, for the refit to fit one to the other."""
+"""Seams and borders of the input and what became of them on the output, for the refit to fit one to the other."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from warpqem.mesh.edges import edge_key
 from warpqem.mesh.seams import half_edge_ends, image_marks
 
-__all__ = ["SeamEdges", "find_seams"]
+__all__ = ["SeamEdges", "find_borders", "find_seams"]
 
 
 @dataclass(frozen=True)
@@ -63,3 +63,26 @@ def find_seams(
         none = SeamEdges(np.zeros(0, dtype=np.int32), np.zeros(0, dtype=np.int32))
         return none, none
     return found
+
+
+def find_borders(
+    half_edge: np.ndarray, is_left: np.ndarray, out_faces: np.ndarray, is_open: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Half-edges without an opposite one: of the faces of the input that are left, and of the output, int32 ascending.
+
+    Args:
+        half_edge: (B,) int, those of the input.
+        is_left: (N,) bool, faces of the input that are left; their components are whole.
+        out_faces: (N', 3) int32.
+        is_open: (C,) bool, output vertices at which such half-edges of the output may be.
+    """
+    number = np.cumsum(is_left) - 1
+    face, corner = np.divmod(half_edge, 3)
+    there = is_left[face]
+    left = 3 * number[face[there]] + corner[there]
+    at_corner = is_open[out_faces]
+    own = np.flatnonzero(at_corner & np.roll(at_corner, -1, axis=1))
+    tail, head = half_edge_ends(out_faces, own).astype(np.int64).T
+    count = len(is_open)
+    alone = own[~np.isin(tail * count + head, head * count + tail)]
+    return left.astype(np.int32), alone.astype(np.int32)

@@ -52,7 +52,7 @@ class ElementSolver:
 
         Args:
             corner_right: (3N',) vec3, the right side in parts, one for each corner of each face.
-            wanted: (1,) int32, 0 where the solution is not wanted: it then says nothing, and takes next to no time.
+            wanted: (1,) int32, 0 where the solution is not wanted: it then is zero, and takes next to no time.
         """
         state, device = self._state, corner_right.device
         launch(kernels.start_solve, self._vertex_count, [self._elements, corner_right, state], device=device)

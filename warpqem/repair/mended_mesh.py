@@ -145,7 +145,7 @@ def _split(source: FrameSource, vertex: np.ndarray) -> FrameSource:
 
 def repaired_mesh(mesh: MeshInput, device: str) -> MeshInput:
     """The same mesh where its topology is fit for decimation, else one with the topology mended, and its ``repair``."""
-    if mesh.repair is not None:
+    if mesh.repair is not None or mesh.is_clean:
         return mesh
     repair = _repair(mesh.faces, mesh.face_index, mesh.input_face_count, mesh.vertex_count, device)
     if repair is None:
@@ -257,9 +257,8 @@ def faces_for(ordered: DecimatedMesh, mesh: MeshInput, target: int) -> int:
     def left(count: int) -> np.ndarray:
         collapsed = int((event[:count] < len(log)).sum())
         collapses = log.head(collapsed)
-        return faces_left(corner_vertex, collapses, collapses.roots(len(ordered.root)), drops.head(count - collapsed))[
-            1
-        ]
+        root, dropped = collapses.roots(len(ordered.root)), drops.head(count - collapsed)
+        return faces_left(mesh.faces, corner_vertex, collapses, root, dropped)[1]
 
     low, high = 0, len(event)
     while low < high:

@@ -16,7 +16,7 @@ from warpqem.runtime import new_arrays
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.part_launches import FIRST_ITEM, launch_in_parts
 
-__all__ = ["TopologyFindings", "TopologyRepair", "repair_topology"]
+__all__ = ["TopologyFindings", "TopologyRepair", "look_for_unclean", "repair_topology"]
 
 # Sheets stay joined where no more than this part of the vertices has several, as these then keep their place: of the
 # vertices of a mesh with a tenth of its faces they are ten times as much. With 0.3 to 0.5 % of the vertices held, three
@@ -145,13 +145,24 @@ def _remembered_clean(faces: bytes, dtype: np.dtype, vertex_count: int, device: 
 def _found_clean(faces: np.ndarray, vertex_count: int, device: str) -> bool:
     """The same, looked for."""
     corner_vertex = new_arrays.uploaded(faces.ravel(), dtype=wp.int32, device=device)
+    return not look_for_unclean(corner_vertex, vertex_count).numpy()[0]
+
+
+def look_for_unclean(corner_vertex: wp.array, vertex_count: int) -> wp.array:
+    """(1,) int32 on the device, 1 where :func:`repair_topology` may find something to mend.
+
+    Args:
+        corner_vertex: (3N,) int32 on the device, -1 in faces that are left out.
+        vertex_count: vertices V.
+    """
+    device = str(corner_vertex.device)
     flags = new_arrays.zeros(vertex_count, dtype=wp.int32, device=device)
     adjacency = build_adjacency(corner_vertex, vertex_count)
     classify_vertices(corner_vertex, adjacency, flags)
     is_unclean = new_arrays.zeros(1, dtype=wp.int32, device=device)
     inputs = [corner_vertex, adjacency.lists, flags, FIRST_ITEM]
     launch_in_parts(find_unclean_vertices, vertex_count, inputs, [is_unclean], device=device)
-    return not is_unclean.numpy()[0]
+    return is_unclean
 
 
 def _winding_changes(pairs: EdgePairs, turned: np.ndarray) -> np.ndarray:

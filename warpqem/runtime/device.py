@@ -25,6 +25,7 @@ __all__ = [
     "device_turn",
     "on_device",
     "resolve_device",
+    "share_memory",
     "turns_released",
 ]
 
@@ -241,6 +242,13 @@ def _keep_freed_memory(name: str) -> None:
     if device.is_cuda and wp.is_mempool_enabled(device) and wp.get_mempool_release_threshold(device) == 0:
         # All of the device's memory.
         wp.set_mempool_release_threshold(device, 1.0)
+
+
+def share_memory(device: str, processes: int) -> None:
+    """Keep no more than its part of the memory that is freed in this process, one of so many that share a device."""
+    there = wp.get_device(resolve_device(device))
+    if processes > 1 and there.is_cuda and wp.is_mempool_enabled(there):
+        wp.set_mempool_release_threshold(there, 1.0 / processes)
 
 
 def _refuse_capture(name: str) -> None:

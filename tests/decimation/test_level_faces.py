@@ -1,0 +1,49 @@
+"""Faces of one level after another are those that all faces looked at give."""
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.support import meshes
+from warpqem.decimation.level_faces import LevelFaces
+from warpqem.decimation.pruning import DropRecord
+from warpqem.measure.far_points import FacesAround
+
+FACES = np.ascontiguousarray(meshes.grid(4, 3)[1], dtype=np.int32)
+VERTEX_COUNT = 20
+ROOTS = st.lists(st.integers(0, VERTEX_COUNT - 1), min_size=VERTEX_COUNT, max_size=VERTEX_COUNT)
+DROPPED = st.lists(st.booleans(), min_size=VERTEX_COUNT, max_size=VERTEX_COUNT)
+LEVELS = st.lists(st.tuples(ROOTS, DROPPED), min_size=2, max_size=4)
+
+
+class Ordered:
+    """What the first level is near to."""
+
+    def __init__(self, root, dropped):
+        self.root, self.drops = np.array(root, dtype=np.int32), record(dropped)
+        self.face_map = expected_faces(self.root, dropped)
+
+
+def record(dropped) -> DropRecord:
+    if not any(dropped):
+        return DropRecord.none(VERTEX_COUNT)
+    ones = np.ones(1, dtype=np.int64)
+    return DropRecord(np.where(dropped, 0, -1).astype(np.int32), ones, ones, np.ones(1, dtype=np.float32))
+
+
+def expected_faces(root, dropped) -> np.ndarray:
+    """Indices of the faces whose corners have three roots, none of them dropped."""
+    return np.array([i for i, f in enumerate(FACES) if len(set(root[f])) == 3 and not dropped[f[0]]], dtype=np.int32)
+
+
+@settings(max_examples=50)
+@given(LEVELS)
+def test_faces_of_levels_are_those_with_three_roots_that_were_not_pruned(levels):
+    around = FacesAround(FACES, VERTEX_COUNT)
+    found = LevelFaces(FACES, around.start, around.face, Ordered(*levels[0]))
+    for root, dropped in levels[1:]:
+        roots = np.array(root, dtype=np.int32)
+        faces, face_map = found.at(roots, record(dropped))
+        np.testing.assert_array_equal(face_map, expected_faces(roots, dropped))
+        np.testing.assert_array_equal(faces, roots[FACES[face_map]])
+        assert faces.dtype == face_map.dtype == np.int32

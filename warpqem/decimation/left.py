@@ -1,0 +1,100 @@
+"""What ordering left, brought to the host: the log, and the faces that it says are left."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import warp as wp
+
+from warpqem.decimation.arrangement import Arrangement
+from warpqem.decimation.collapse_log import CollapseRecord, log_of, ordered_log, read_log
+from warpqem.decimation.faces_left import MarkedFaces, faces_left
+from warpqem.decimation.pass_steps import PassSteps
+from warpqem.decimation.pruning import DropRecord
+from warpqem.kernels import collapse_order as kernels
+from warpqem.runtime import new_arrays
+from warpqem.runtime.device import device_traits
+from warpqem.runtime.launches import launch
+from warpqem.runtime.readback import read_together
+
+__all__ = ["Left"]
+
+# Faces that are left beyond those asked for: room for them costs nothing.
+SPARE_ROOM = 16
+
+
+class Left:
+    """The collapses of an ordering and the faces that they leave.
+
+    Args:
+        steps: the passes that make them.
+        faces: (N, 3) int32, the input's.
+        corner_vertex: (3N,) int32, the same on the device.
+        arrangement: what the log's numbers mean; None for those of the input.
+    """
+
+    def __init__(
+        self, steps: PassSteps, faces: np.ndarray, corner_vertex: wp.array, arrangement: Arrangement | None
+    ) -> None:
+        self._count, self._rows = steps.log.count, steps.log_rows
+        self._faces, self._corner_vertex, self._arrangement = faces, corner_vertex, arrangement
+        self._vertex_count = steps.log_rows.shape[1]
+        self._ahead: MarkedFaces | None = None
+        self._room = 0
+
+    def ahead(self, target_faces: int, edge_count: int) -> list[wp.array]:
+        """All of it on the device, as it comes to the host with the end of an ordering, for :meth:`read`.
+
+        There is room for what collapses leave that reach their target: those inside a surface take two faces each,
+        those of the ``edge_count`` edges of borders one.
+        """
+        excess = max(0, len(self._faces) - target_faces)
+        self._room = min(self._vertex_count, (excess + edge_count) // 2 + SPARE_ROOM)
+        log = ordered_log(self._rows, self._count, self._room)
+        self._ahead = self._marked(log, self._room, DropRecord.none(self._vertex_count))
+        return [log, self._ahead.rows(target_faces + SPARE_ROOM)]
+
+    def read(
+        self, count: int, face_count: int, drops: DropRecord, brought: Sequence[np.ndarray] = ()
+    ) -> tuple[CollapseRecord, np.ndarray, np.ndarray, np.ndarray]:
+        """The log, (V,) int32 the vertex that each one collapsed into, and what :func:`faces_left` gives.
+
+        All is in the input's numbers. The host waits once.
+
+        Args:
+            count: collapses.
+            face_count: faces that are left.
+            drops: the pruned components.
+            brought: what :meth:`ahead` gave, where it came to the host.
+        """
+        if self._ahead is not None and brought and count <= self._room:
+            marked, (ordered, rows) = self._ahead, brought
+        elif device_traits(str(self._rows.device)).own_memory:
+            log = ordered_log(self._rows, self._count, count)
+            marked = self._marked(log, count, drops)
+            ordered, rows = read_together(log, marked.rows(face_count))
+        else:
+            log_here = self._in_input_terms(read_log(self._rows, count))
+            root = log_here.roots(self._vertex_count)
+            return log_here, root, *faces_left(self._faces, self._corner_vertex, log_here, root, drops)
+        log_here = self._in_input_terms(log_of(ordered, count))
+        root, face_map = log_here.roots(self._vertex_count), marked.listed(rows)
+        return log_here, root, root[self._faces[face_map]], face_map
+
+    def _in_input_terms(self, log: CollapseRecord) -> CollapseRecord:
+        return log if self._arrangement is None else self._arrangement.restore_log(log)
+
+    def _marked(self, log: wp.array, room: int, drops: DropRecord) -> MarkedFaces:
+        """The faces that a log on the device leaves, with room for so many collapses."""
+        device, vertex_count = log.device, self._vertex_count
+        parent, root = (new_arrays.empty(vertex_count, dtype=wp.int32, device=device) for _ in range(2))
+        vertex = new_arrays.empty(0, dtype=wp.int32, device=device)
+        if self._arrangement is not None:
+            vertex = self._arrangement.vertex
+        launch(kernels.begin_roots, vertex_count, [], [parent], device=device)
+        if room:
+            inputs = [log, self._count, vertex]
+            launch(kernels.link_collapses, room, inputs, [parent], device=device)
+        launch(kernels.follow_collapses, vertex_count, [parent], [root], device=device)
+        return MarkedFaces(self._corner_vertex, root, drops)

@@ -1,0 +1,58 @@
+"""The input in its key frames, as a refit compares the output with it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from warpqem.frames.blocks import pack_frames, unpack_frames
+from warpqem.frames.device_frames import BoundsMeter
+from warpqem.frames.device_source import DeviceFrames
+from warpqem.kernels.frame_bounds import compare_frames
+from warpqem.mesh.mesh_input import AnimatedMesh
+from warpqem.refit.scales import SMALLEST_FRAME, frame_scale
+from warpqem.runtime import new_arrays
+from warpqem.runtime.device import device_traits
+from warpqem.runtime.launches import launch
+
+__all__ = ["Reference"]
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Key frames of the input on the device.
+
+    Attributes:
+        points: (K, V) vec3, in diagonals about the mesh's centre.
+        frame_scale: (K,) float32, see :func:`warpqem.refit.scales.frame_scale`.
+    """
+
+    points: wp.array
+    frame_scale: wp.array
+
+    @classmethod
+    def of(cls, mesh: AnimatedMesh, key_frames: np.ndarray, device: str) -> Reference:
+        """Those of a mesh; where it is on the device already they are taken from there."""
+        is_there = mesh.held is not None or isinstance(mesh.source, DeviceFrames)
+        if not is_there or not device_traits(device).own_memory:
+            unit = mesh.to_unit(mesh.chosen_points(key_frames))
+            return cls(
+                new_arrays.uploaded(unit, dtype=wp.vec3, device=device),
+                new_arrays.uploaded(frame_scale(unit[:, mesh.used]), dtype=wp.float32, device=device),
+            )
+        if mesh.held is not None:
+            given, rows = mesh.held.points, key_frames
+        else:
+            assert isinstance(mesh.source, DeviceFrames)
+            given, rows = mesh.source.chosen(key_frames, mesh.origin), np.arange(len(key_frames))
+        blocks = pack_frames(
+            given, device, frames=rows, centre=mesh.centre, scale=float(np.float32(1.0 / mesh.diagonal))
+        )
+        points = wp.empty((len(rows), mesh.vertex_count), dtype=wp.vec3, device=device)
+        unpack_frames(blocks, points)
+        bounds = BoundsMeter(mesh.used, device).bounds_there(points)
+        scale = new_arrays.empty(len(rows), dtype=wp.float32, device=device)
+        launch(compare_frames, 1, [bounds, SMALLEST_FRAME], [scale], device=device)
+        return cls(points, scale)
