@@ -20,9 +20,9 @@ from warpqem.decimation.constrained_edges import ConstrainedEdges, EdgeMarks
 from warpqem.decimation.deformation import build_deformation
 from warpqem.decimation.faces_left import faces_left
 from warpqem.decimation.initial_quadrics import given_quadrics, initial_quadrics
+from warpqem.decimation.native_loop import SmallOrderer
 from warpqem.decimation.ordering import Ordering
 from warpqem.decimation.pass_steps import PassSteps
-from warpqem.decimation.passes import Orderer
 from warpqem.decimation.pruning import Components, DropRecord
 from warpqem.decimation.quadric_sums import QuadricSums, add_quadric_sums
 from warpqem.kernels import attribute as attribute_kernels
@@ -314,7 +314,7 @@ def _cost_model(mesh: DecimationInput, settings: OrderSettings) -> CostModel:
 def _new_ordering(steps: PassSteps) -> Ordering:
     """The loop for a kind of device: a GPU waits too long for the host, and a CPU for dead faces."""
     if not device_traits(steps.device).captures:
-        return Orderer(steps)
+        return SmallOrderer(steps)
     # Its kernels take a while to load, and a CPU has no use for them.
     from warpqem.decimation.device_loop import DeviceOrderer
 

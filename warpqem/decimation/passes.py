@@ -29,8 +29,7 @@ __all__ = ["Orderer"]
 
 CANDIDATE_FRACTION, FRACTION_GROWTH = float(control_kernels.CANDIDATE_FRACTION), float(control_kernels.FRACTION_GROWTH)
 EDGES_PER_FACE, SAMPLE_STEP = float(control_kernels.EDGES_PER_FACE), int(control_kernels.SAMPLE_STEP)
-# Faces are compacted when fewer than this part of them is alive.
-LIVE_FRACTION = 0.7
+LIVE_FRACTION = float(control_kernels.LIVE_FRACTION)
 # Meshes of at least so many faces are worked on by all CPU threads throughout; below it a thread takes longer to start
 # than most kernels of a pass run.
 SHARED_FACES = 60_000
