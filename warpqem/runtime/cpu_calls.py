@@ -33,6 +33,7 @@ FUNCTION = ctypes.CFUNCTYPE(None)
 BLOCK_THREADS = 1
 CPU_CODE = (None, BLOCK_THREADS)
 
+
 @dataclass(frozen=True)
 class PackedCall:
     """A launch of a kernel in memory: whoever keeps it keeps its code, and no array.
@@ -112,9 +113,7 @@ class _Call:
         packed = self._pack(dim, arguments)
         return None if packed is None else PackedCall(self._function, self._address, *packed)
 
-    def _pack(
-        self, dim: tuple[int, ...], arguments: Sequence[Any]
-    ) -> tuple[ctypes.Structure, ctypes.Structure] | None:
+    def _pack(self, dim: tuple[int, ...], arguments: Sequence[Any]) -> tuple[ctypes.Structure, ctypes.Structure] | None:
         """The bounds and the arguments of a launch; None where Warp has to look at the arguments."""
         size = 1
         for extent in dim:
