@@ -214,11 +214,11 @@ def _on_device(
     """The mesh as kernels see it, rearranged or a copy."""
     state, frames = MeshState(), KEY_FRAMES[width_of(mesh.key_position)]()
     if arrangement is None:
-        corner_vertex, frames.input = wp.clone(input_corners), mesh.key_position
+        corner_vertex, frames.input = new_arrays.clone(input_corners), mesh.key_position
     else:
         corner_vertex = arrangement.rearrange_faces(input_corners)
         frames.input = arrangement.rearrange_rows(mesh.key_position)
-    frames.position = wp.clone(frames.input)
+    frames.position = new_arrays.clone(frames.input)
 
     def of_vertices(values: np.ndarray, dtype: type) -> wp.array:
         uploaded = new_arrays.uploaded(values, dtype=dtype, device=device)

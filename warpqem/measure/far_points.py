@@ -78,7 +78,7 @@ class FacesAround(FaceLists):
 
 
 def _uploaded(values: npt.NDArray[np.integer], device: str) -> wp.array:
-    return wp.array(values.astype(np.int32, copy=False), dtype=wp.int32, device=device, copy=False)
+    return new_arrays.uploaded(values.astype(np.int32, copy=False), dtype=wp.int32, device=device, copy=False)
 
 
 @dataclass(frozen=True)
@@ -144,8 +144,8 @@ def furthest_from(
     for one in given:
         last = first + len(one.point)
         if last > first:
-            part = slice(first, last)
-            _measure(one, within[part], nearest[part], furthest[part], device)
+            rows = [new_arrays.part(array, first, last) for array in (within, nearest, furthest)]
+            _measure(one, rows[0], rows[1], rows[2], device)
         first = last
     return furthest
 
@@ -186,7 +186,7 @@ def longest_edges(
             kernels.longest_edges[width_of(lanes)],
             len(faces),
             [lanes, corners_of(corner_vertex)],
-            [rows_of(squared[end - len(faces) : end])],
+            [rows_of(new_arrays.part(squared, end - len(faces), end))],
             device=device,
             min_items=MIN_POINTS,
         )

@@ -19,6 +19,7 @@ import warp as wp
 from warpqem.kernels import distance_points as kernels
 from warpqem.kernels.lanes import width_of
 from warpqem.measure.far_points import FaceLists, FacesAround, PointsAndFaces, furthest_from, longest_edges
+from warpqem.runtime import new_arrays
 from warpqem.runtime.part_launches import corners_of, launch_in_parts, rows_of
 
 __all__ = [
@@ -138,7 +139,9 @@ class SampledFaces:
             count = len(clusters)
             start = np.arange(0, clusters.size + 1, clusters.shape[1], dtype=np.int32)
             point = np.arange(each * count, dtype=np.int32)
-            points = self._points(self.faces[first : first + at_once], within[each * first : each * (first + count)])
+            points = self._points(
+                self.faces[first : first + at_once], new_arrays.part(within, each * first, each * (first + count))
+            )
             row = np.repeat(point[:count], each)
             lists = start, clusters.ravel()
             yield PointsAndFaces(points, side.lanes, side.faces, point, row, lists, side.lists, around)
@@ -147,9 +150,9 @@ class SampledFaces:
         """Blocks of the points of some faces (m, 3), one face after another."""
         device, each = str(self.lanes.device), self.points_of_each
         blocks = self.lanes.shape[1]
-        points = wp.empty((len(faces), each * blocks), dtype=self.lanes.dtype, device=device)
-        corner_vertex = wp.array(np.ascontiguousarray(faces, dtype=np.int32).ravel(), dtype=wp.int32, device=device)
-        weights = wp.array(self.weights, dtype=wp.vec3, device=device)
+        points = new_arrays.empty((len(faces), each * blocks), dtype=self.lanes.dtype, device=device)
+        corner_vertex = new_arrays.uploaded(faces.ravel(), dtype=wp.int32, device=device)
+        weights = new_arrays.uploaded(self.weights, dtype=wp.vec3, device=device)
         launch_in_parts(
             kernels.points_of_faces[width_of(self.lanes)],
             (len(faces), each, blocks),
@@ -258,5 +261,5 @@ def _points_around(places: Sequence[Places], within: wp.array) -> Iterator[Point
     for one in places:
         last = first + one.count * one.points_of_each
         if last > first:
-            yield from one.around(within[first:last])
+            yield from one.around(new_arrays.part(within, first, last))
         first = last

@@ -200,7 +200,7 @@ def _used_vertices(faces: np.ndarray, vertex_count: int, device: str) -> np.ndar
         return None
     # The vertices, and whether a face is unfit: the host waits once.
     marks = new_arrays.zeros(vertex_count + 1, dtype=wp.bool, device=device)
-    corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device, copy=False)
+    corner_vertex = new_arrays.uploaded(faces.ravel(), dtype=wp.int32, device=device, copy=False)
     outputs = [marks[:vertex_count], marks[vertex_count:]]
     launch(mark_used_vertices, len(faces), [corner_vertex], outputs, device=device)
     found = np.array(marks.numpy())

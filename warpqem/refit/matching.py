@@ -60,7 +60,7 @@ def make_surface(
     if seam is not None:
         surface.seam = new_arrays.uploaded(seam, dtype=wp.int32, device=device)
     surface.adjacency_start, surface.adjacent_corner = adjacency.start, adjacency.corner
-    surface.opposite = wp.empty_like(corner_vertex)
+    surface.opposite = new_arrays.like(corner_vertex)
     surface.border_out, surface.border_in = (
         new_arrays.full(vertex_count, -1, dtype=wp.int32, device=device) for _ in range(2)
     )
@@ -161,7 +161,7 @@ class Matching:
         lists = build_adjacency(self.input_pairs.face, self._face_count)
         self.input_start, self.input_order = lists.start, lists.corner
         if note is not None:
-            self._before = wp.clone(self._target.points)
+            self._before = new_arrays.clone(self._target.points)
         elif self._before is not None:
             points, arrays = self._target.points, (self._before, self._samples.vertex_squared)
             inputs, outputs = [rows_of(points)], [*map(rows_of, arrays)]
@@ -264,7 +264,7 @@ class _Hierarchy:
 
     def __init__(self, surface: Surface) -> None:
         # A mesh keeps its points, and they change from frame to frame.
-        self._mesh = wp.Mesh(points=wp.clone(surface.points[0]), indices=surface.corner_vertex)
+        self._mesh = wp.Mesh(points=new_arrays.clone(surface.points[0]), indices=surface.corner_vertex)
 
     @property
     def id(self) -> int:
@@ -283,7 +283,7 @@ def _border_half_edges(*surfaces: Surface) -> list[wp.array]:
     found = new_arrays.zeros(len(surfaces), dtype=wp.int32, device=device)
     before = []
     for number, surface in enumerate(surfaces):
-        marks = wp.empty_like(surface.opposite)
+        marks = new_arrays.like(surface.opposite)
         launch(walk_kernels.mark_border, len(marks), [surface.opposite], [marks], device=device)
         wp.utils.array_scan(marks, marks, inclusive=True)
         if len(marks):
