@@ -8,6 +8,7 @@ what Warp itself records (``wp.Launch``), so that a launch takes 3, and one that
 from __future__ import annotations
 
 import ctypes
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -75,7 +76,8 @@ class _Call:
             (one.type.dtype, one.type.ndim) if packed is ARRAY else (_is_struct(one.type), 0)
             for one, (_, packed) in zip(arguments, fields, strict=True)
         ]
-        self._bounds, self._axes = type(command.bounds), len(command.bounds.shape)
+        self._bounds: Any = type(command.bounds)
+        self._axes = len(command.bounds.shape)
         # The code, and the hashes that Warp looked at for it.
         self._module, self._code = command.kernel.module, command.module_exec
         self._hashes = self._module.hashers.get(BLOCK_THREADS)
@@ -106,15 +108,17 @@ class _Call:
         It holds the code, and no array.
         """
         packed = self._pack(dim, arguments)
-        return None if packed is None else partial(self._function, ctypes.byref(packed[0]), ctypes.byref(packed[1]))
+        return (
+            None if packed is None else partial(self._function, _kept_bounds(self._bounds, dim), ctypes.byref(packed))
+        )
 
     def packed(self, dim: tuple[int, ...], arguments: Sequence[Any]) -> PackedCall | None:
         """The same at known addresses."""
         packed = self._pack(dim, arguments)
-        return None if packed is None else PackedCall(self._function, self._address, *packed)
+        return None if packed is None else PackedCall(self._function, self._address, self._bounds(dim), packed)
 
-    def _pack(self, dim: tuple[int, ...], arguments: Sequence[Any]) -> tuple[ctypes.Structure, ctypes.Structure] | None:
-        """The bounds and the arguments of a launch; None where Warp has to look at the arguments."""
+    def _pack(self, dim: tuple[int, ...], arguments: Sequence[Any]) -> ctypes.Structure | None:
+        """What the kernel gets; None where Warp has to look at the arguments."""
         size = 1
         for extent in dim:
             size *= extent
@@ -125,15 +129,22 @@ class _Call:
             if axes:
                 if type(value) is not wp.array or value.dtype is not kind or value.ndim != axes:
                     return None
-                values.append(value.__ctype__())
+                # Kept by the array from the first time on.
+                values.append(value.ctype or value.__ctype__())
             else:
                 values.append(value.__ctype__() if kind else value)
         try:
-            packed = self._packed(*values)
+            packed: ctypes.Structure = self._packed(*values)
         except TypeError:
             # A struct of another kind, or a number of another type: Warp converts it, or says what is wrong.
             return None
-        return self._bounds(dim), packed
+        return packed
+
+
+@functools.lru_cache(maxsize=1024)
+def _kept_bounds(kind: Any, dim: tuple[int, ...]) -> Any:
+    """The extents of a launch for a call; kernels only read them."""
+    return ctypes.byref(kind(dim))
 
 
 def _is_struct(declared: Any) -> bool:
