@@ -117,8 +117,12 @@ def _packed(kernel: wp.Kernel, dim: int, arguments: Sequence[Any]) -> PackedCall
     load_kernel(kernel, "cpu")
     call = packed_call(kernel, dim, arguments)
     if call is None:
-        know_call(kernel, wp.launch(kernel, dim=dim, inputs=arguments, device="cpu", record_cmd=True))
-        call = packed_call(kernel, dim, arguments)
+        command = wp.launch(kernel, dim=dim, inputs=arguments, device="cpu", record_cmd=True)
+        if command is not None:
+            know_call(kernel, command)
+            call = packed_call(kernel, dim, arguments)
     if call is None:
-        raise TypeError(f"kernel {kernel.key} takes arguments that only Warp can look at")
+        raise TypeError(
+            f"kernel {kernel.key} cannot be launched by {dim} threads, or takes arguments that only Warp can look at"
+        )
     return call
