@@ -27,8 +27,10 @@ Shape = int | tuple[int, ...] | list[int]
 SMALL = 2**16
 # Types and shapes that are kept: a mesh has some hundred.
 KEPT_FORMS = 4096
-# What a kernel gets of an array begins with its address and that of its gradient.
+# What a kernel gets of an array: its address and that of its gradient; extents and strides, number of axes, flags.
+MAX_AXES = 4
 ADDRESSES = struct.Struct("=QQ")
+EXTENTS = struct.Struct("=4i4iHHxxxx")
 DESCRIPTOR = type(wp.array(dtype=wp.int32).__ctype__())
 
 
@@ -72,18 +74,30 @@ class _Form:
         return made
 
 
+@functools.cache
+def _unit_form(dtype: Any, axes: int) -> _Form:
+    """That of an array of one element, as Warp makes it."""
+    shape = (1,) * axes
+    one = wp.empty(shape, dtype=dtype, device="cpu")
+    values = one.numpy()
+    # Of one that does not free its memory. The address is put in its place later.
+    made = wp.array(ptr=one.ptr, dtype=dtype, shape=shape, device="cpu")
+    return _Form(dict(vars(made)), b"", values.nbytes, values.dtype, values.shape[axes:])
+
+
 @functools.lru_cache(maxsize=KEPT_FORMS)
 def _form(dtype: Any, shape: int | tuple[int, ...]) -> _Form:
     extents = tuple(map(int, shape)) if isinstance(shape, tuple) else (int(shape),)
-    one = wp.empty((1,) * len(extents), dtype=dtype, device="cpu")
-    values = one.numpy()
-    # The address is any: it is put in its place later.
-    made = wp.array(ptr=one.ptr, dtype=dtype, shape=extents, device="cpu")
-    described = bytes(made.__ctype__())[ADDRESSES.size :]
-    size = int(np.prod(extents)) * values.nbytes
-    attributes = dict(vars(made if size else wp.empty(extents, dtype=dtype, device="cpu")))
-    attributes["deleter"] = None
-    return _Form(attributes, described, size, values.dtype, values.shape[len(extents) :])
+    axes = len(extents)
+    unit = _unit_form(dtype, axes)
+    strides = [unit.size] * axes
+    for axis in range(axes - 1, 0, -1):
+        strides[axis - 1] = strides[axis] * extents[axis]
+    size = strides[0] * extents[0]
+    attributes = {**unit.attributes, "shape": extents, "strides": tuple(strides)}
+    attributes |= {"size": size // unit.size if size else 0, "capacity": size}
+    rest = (0,) * (MAX_AXES - axes)
+    return _Form(attributes, EXTENTS.pack(*extents, *rest, *strides, *rest, axes, 0), size, unit.item, unit.inner)
 
 
 def _form_of(dtype: Any, shape: Shape) -> _Form:
