@@ -16,7 +16,7 @@ from warpqem.runtime import new_arrays
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.part_launches import corners_of, launch_in_parts, rows_of
 
-__all__ = ["FaceLists", "FacesAround", "PointsAndFaces", "furthest_from", "longest_edges"]
+__all__ = ["FaceLists", "FacesAround", "PointLists", "PointsAndFaces", "furthest_from", "longest_edges"]
 
 # Points, or faces, that are worth a thread: some hundred nanoseconds each.
 MIN_POINTS = 1024
@@ -81,6 +81,40 @@ def _uploaded(values: npt.NDArray[np.integer], device: str) -> wp.array:
     return new_arrays.uploaded(values.astype(np.int32, copy=False), dtype=wp.int32, device=device, copy=False)
 
 
+class PointLists:
+    """Points and the clusters of each, on the device that they are first asked for.
+
+    Args:
+        point: (n,) int, points.
+        row: (n,) int, the row of ``clusters`` for each.
+        clusters: where each row starts, (R+1,) int, and clusters, int.
+    """
+
+    def __init__(
+        self,
+        point: npt.NDArray[np.integer],
+        row: npt.NDArray[np.integer],
+        clusters: tuple[npt.NDArray[np.integer], npt.NDArray[np.integer]],
+    ) -> None:
+        self._values = (point, row, *clusters)
+        self._there: tuple[wp.array, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self._values[0])
+
+    def on(self, device: str) -> tuple[wp.array, ...]:
+        """All four on the device."""
+        if not self._there:
+            self._there = tuple(_uploaded(values, device) for values in self._values)
+        return self._there
+
+    @classmethod
+    def at(cls, point: npt.NDArray[np.integer], cluster: npt.NDArray[np.integer]) -> PointLists:
+        """Points with one cluster (n,) each."""
+        every = np.arange(len(point) + 1)
+        return cls(point, every[:-1], (every, cluster))
+
+
 @dataclass(frozen=True)
 class PointsAndFaces:
     """Points, and the faces that may be nearest to each: at its clusters, and at those next to them.
@@ -89,9 +123,7 @@ class PointsAndFaces:
         own: (P, B) blocks of points.
         other: (V, B) blocks of the same frames of the other mesh.
         faces: its faces.
-        point: (n,) int, points of ``own``.
-        row: (n,) int, the row of ``clusters`` for each.
-        clusters: where each row starts, (R+1,) int, and clusters, int.
+        points: those of ``own`` to look at, with their clusters.
         lists: faces of ``other`` at each cluster.
         around: the simplified mesh's faces at each cluster.
     """
@@ -99,26 +131,9 @@ class PointsAndFaces:
     own: wp.array
     other: wp.array
     faces: FacesAround
-    point: npt.NDArray[np.integer]
-    row: npt.NDArray[np.integer]
-    clusters: tuple[npt.NDArray[np.integer], npt.NDArray[np.integer]]
+    points: PointLists
     lists: FaceLists
     around: FacesAround
-
-    @classmethod
-    def at(
-        cls,
-        own: wp.array,
-        other: wp.array,
-        faces: FacesAround,
-        point: npt.NDArray[np.integer],
-        cluster: npt.NDArray[np.integer],
-        lists: FaceLists,
-        around: FacesAround,
-    ) -> PointsAndFaces:
-        """Points with one cluster (n,) each."""
-        every = np.arange(len(point) + 1)
-        return cls(own, other, faces, point, every[:-1], (every, cluster), lists, around)
 
 
 def furthest_from(
@@ -142,7 +157,7 @@ def furthest_from(
         nearest = new_arrays.full(len(within), -1, dtype=wp.int32, device=device)
     first = 0
     for one in given:
-        last = first + len(one.point)
+        last = first + len(one.points)
         if last > first:
             rows = [new_arrays.part(array, first, last) for array in (within, nearest, furthest)]
             _measure(one, rows[0], rows[1], rows[2], device)
@@ -152,10 +167,8 @@ def furthest_from(
 
 def _measure(given: PointsAndFaces, within: wp.array, nearest: wp.array, furthest: wp.array, device: str) -> None:
     """Raise the squared distances ``furthest`` (n,), zero before, to those found."""
-    own, other, count = given.own, given.other, len(given.point)
-    point, row, cluster_start, cluster = (
-        _uploaded(values, device) for values in (given.point, given.row, *given.clusters)
-    )
+    own, other, count = given.own, given.other, len(given.points)
+    point, row, cluster_start, cluster = given.points.on(device)
     inputs = [own, other, given.faces.corners(device), rows_of(point), rows_of(row), cluster_start, cluster]
     # Where points are too few for the device, frames are shared out, too.
     shares = max(1, min(own.shape[1], device_traits(device).launch_threads // count))

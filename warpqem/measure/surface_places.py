@@ -8,8 +8,10 @@ simplified mesh at the input faces of the clusters there. So a place is never ne
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -18,7 +20,7 @@ import warp as wp
 
 from warpqem.kernels import distance_points as kernels
 from warpqem.kernels.lanes import width_of
-from warpqem.measure.far_points import FaceLists, FacesAround, PointsAndFaces, furthest_from, longest_edges
+from warpqem.measure.far_points import FaceLists, FacesAround, PointLists, PointsAndFaces, furthest_from, longest_edges
 from warpqem.runtime import new_arrays
 from warpqem.runtime.part_launches import corners_of, launch_in_parts, rows_of
 
@@ -59,7 +61,7 @@ class Side:
 
 
 @dataclass(frozen=True)
-class _Vertices:
+class _Vertices(ABC):
     """Vertices (n,) of one surface, and the other one.
 
     Attributes:
@@ -77,6 +79,20 @@ class _Vertices:
     def count(self) -> int:
         """Vertices n."""
         return len(self.vertex)
+
+    @property
+    @abstractmethod
+    def clusters(self) -> npt.NDArray[np.integer]:
+        """(n, 1) int, where each is."""
+
+    @property
+    def lists(self) -> PointLists:
+        """The vertices with their clusters; those of a small mesh are kept for all looks at them."""
+        return self._kept_lists if self.count <= POINTS_AT_ONCE else PointLists.at(self.vertex, self.clusters[:, 0])
+
+    @cached_property
+    def _kept_lists(self) -> PointLists:
+        return PointLists.at(self.vertex, self.clusters[:, 0])
 
 
 @dataclass(frozen=True)
@@ -97,7 +113,7 @@ class InputVertices(_Vertices):
     def around(self, _: wp.array) -> Iterator[PointsAndFaces]:
         """The points and the faces around."""
         side = self.side
-        yield PointsAndFaces.at(self.lanes, side.lanes, side.faces, self.vertex, self.cluster, side.lists, side.faces)
+        yield PointsAndFaces(self.lanes, side.lanes, side.faces, self.lists, side.lists, side.faces)
 
 
 @dataclass(frozen=True)
@@ -135,28 +151,35 @@ class SampledFaces:
         side, around, each = self.side, self.around_clusters, self.points_of_each
         at_once = max(1, POINTS_AT_ONCE // each)
         for first in range(0, self.count, at_once):
-            clusters = self.clusters[first : first + at_once]
-            count = len(clusters)
-            start = np.arange(0, clusters.size + 1, clusters.shape[1], dtype=np.int32)
-            point = np.arange(each * count, dtype=np.int32)
-            points = self._points(
-                self.faces[first : first + at_once], new_arrays.part(within, each * first, each * (first + count))
-            )
-            row = np.repeat(point[:count], each)
-            lists = start, clusters.ravel()
-            yield PointsAndFaces(points, side.lanes, side.faces, point, row, lists, side.lists, around)
+            last = min(first + at_once, self.count)
+            whole = last - first == self.count
+            corners, lists = self._all_lists if whole else self._lists(slice(first, last))
+            points = self._points(corners, new_arrays.part(within, each * first, each * last))
+            yield PointsAndFaces(points, side.lanes, side.faces, lists, side.lists, around)
 
-    def _points(self, faces: npt.NDArray[np.integer], within: wp.array) -> wp.array:
-        """Blocks of the points of some faces (m, 3), one face after another."""
+    @cached_property
+    def _all_lists(self) -> tuple[wp.array, PointLists]:
+        """Those of all faces, for all looks at them."""
+        return self._lists(slice(self.count))
+
+    def _lists(self, some: slice) -> tuple[wp.array, PointLists]:
+        """The corners (3 m,) of some faces on the device, and their points with their clusters."""
+        faces, clusters, each = self.faces[some], self.clusters[some], self.points_of_each
+        corner_vertex = new_arrays.uploaded(faces.ravel(), dtype=wp.int32, device=str(self.lanes.device))
+        start = np.arange(0, clusters.size + 1, clusters.shape[1], dtype=np.int32)
+        point = np.arange(each * len(faces), dtype=np.int32)
+        return corner_vertex, PointLists(point, np.repeat(point[: len(faces)], each), (start, clusters.ravel()))
+
+    def _points(self, corner_vertex: wp.array, within: wp.array) -> wp.array:
+        """Blocks of the points of some faces, of these corners (3 m,), one face after another."""
         device, each = str(self.lanes.device), self.points_of_each
-        blocks = self.lanes.shape[1]
-        points = new_arrays.empty((len(faces), each * blocks), dtype=self.lanes.dtype, device=device)
-        corner_vertex = new_arrays.uploaded(faces.ravel(), dtype=wp.int32, device=device)
+        count, blocks = len(corner_vertex) // 3, self.lanes.shape[1]
+        points = new_arrays.empty((count, each * blocks), dtype=self.lanes.dtype, device=device)
         weights = new_arrays.uploaded(self.weights, dtype=wp.vec3, device=device)
         launch_in_parts(
             kernels.points_of_faces[width_of(self.lanes)],
-            (len(faces), each, blocks),
-            [self.lanes, corners_of(corner_vertex), weights, rows_of(within.reshape((len(faces), each)))],
+            (count, each, blocks),
+            [self.lanes, corners_of(corner_vertex), weights, rows_of(within.reshape((count, each)))],
             [rows_of(points)],
             device=device,
         )
@@ -182,9 +205,7 @@ class SimplifiedVertices(_Vertices):
     def around(self, _: wp.array) -> Iterator[PointsAndFaces]:
         """The points and the faces around."""
         side = self.side
-        yield PointsAndFaces.at(
-            self.lanes, side.lanes, side.faces, self.vertex, self.vertex, side.lists, self.around_clusters
-        )
+        yield PointsAndFaces(self.lanes, side.lanes, side.faces, self.lists, side.lists, self.around_clusters)
 
 
 Places = InputVertices | SampledFaces | SimplifiedVertices
