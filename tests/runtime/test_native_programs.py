@@ -1,12 +1,16 @@
 """Loops of operations that a CPU runs without the host."""
 
 import gc
+import os
 import weakref
 
 import pytest
 import warp as wp
 
 from warpqem.runtime.native_programs import NativeRecorder
+
+
+pytestmark = pytest.mark.skipif("CUDA_SEMANTICS" in os.environ, reason="of a CPU that works like one")
 
 
 @wp.kernel
