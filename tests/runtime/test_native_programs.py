@@ -9,7 +9,6 @@ import warp as wp
 
 from warpqem.runtime.native_programs import NativeRecorder
 
-
 pytestmark = pytest.mark.skipif("CUDA_SEMANTICS" in os.environ, reason="of a CPU that works like one")
 
 
