@@ -152,6 +152,10 @@ def _trim_collapses(a: Arguments) -> Demand:
     return Demand(2 * _length(a["selected"]) * INT)
 
 
+def _trim_in_order(a: Arguments) -> Demand:
+    return _trim_collapses(a)
+
+
 def _list_log_keys(a: Arguments) -> Demand:
     # The half-edge, its cost, both ends and their flags; the key written.
     return Demand(len(a["key_out"]) * 6 * INT + _size(a["key_out"]))
@@ -316,6 +320,7 @@ _MODELS: dict[str, Callable[[Arguments], Demand]] = {
         _find_threshold_by_sums,
         _bound_threshold,
         _trim_collapses,
+        _trim_in_order,
         _list_log_keys,
         _collect_candidates,
         _reserve_vertices,
@@ -355,6 +360,8 @@ _BOOKKEEPING = (
     "end_pass",
     "note_new_adjacency",
     "resume_passes",
+    "note_candidates",
+    "find_upkeep",
     "begin_steps",
     "end_step",
 )

@@ -1,7 +1,7 @@
 """Times of kernel launches, by standing in for ``warp.launch`` and prepared calls while a profile is taken.
 
-A replayed graph does not tell its kernels apart, so steps and loops make their launches one by one meanwhile, part
-after part on one thread.
+A replayed graph does not tell its kernels apart, nor does a loop without the host, so steps and loops make their
+launches one by one meanwhile, part after part on one thread.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from unittest.mock import patch
 import warp as wp
 
 from benchmarks.floor import Demand, count_demand
+from warpqem.decimation import native_loop
 from warpqem.decimation.recorded_launches import LaunchGroup, RecordedLaunches
 from warpqem.runtime import launches
 from warpqem.runtime.launches import DirectRecorder, Recorder
@@ -110,6 +111,7 @@ def profile_launches() -> Iterator[LaunchProfile]:
         patch.object(launches, "_cpu_call", prepare),
         patch.object(Recorder, "launch", record),
         patch.object(Recorder, "_finish", lambda self, run: run),
+        patch.object(native_loop, "SMALL_FACES", 0),
         patch.object(RecordedLaunches, "__init__", keep_groups),
         patch.object(RecordedLaunches, "run", run_groups),
     )

@@ -116,12 +116,12 @@ def place_corners(surface: Surface, face: wp.int32, places: Places) -> Corners:
 
 
 @wp.func
-def furthest_corner(other: Surface, face: wp.int32, corners: Corners) -> wp.float64:
-    """The largest distance of the corners of a piece from a face, which no point of the piece is further from."""
-    furthest = wp.float64(0.0)
+def corner_distances(other: Surface, face: wp.int32, corners: Corners) -> wp.vec3d:
+    """The distances of the corners of a piece from a face: no point of the piece is further than the largest."""
+    away = wp.vec3d()
     for k in range(3):
-        furthest = wp.max(furthest, squared_distance(other, face, corners[k]))
-    return wp.sqrt(furthest)
+        away[k] = wp.sqrt(squared_distance(other, face, corners[k]))
+    return away
 
 
 @wp.func
@@ -158,13 +158,16 @@ def look_at_piece(
         size = wp.float64(0.0)
         for k in range(3):
             size = wp.max(size, wp.length(corners[k] - centre))
-        look.bound = furthest_corner(other, look.near, corners)
+        away = corner_distances(other, look.near, corners)
+        look.bound = wp.max(away)
         if look.bound > look.low + ROUNDING and size <= look.low:
             # What is furthest is most often a corner. Those of large pieces are corners of small ones.
             for k in range(3):
-                at_corner = near_face(other, hints, first, corners[k], exact)
-                if at_corner >= 0:
-                    look.low = wp.max(look.low, wp.sqrt(squared_distance(other, at_corner, corners[k])))
+                # No other face makes it further away than this one.
+                if away[k] > look.low:
+                    at_corner = near_face(other, hints, first, corners[k], exact)
+                    if at_corner >= 0:
+                        look.low = wp.max(look.low, wp.sqrt(squared_distance(other, at_corner, corners[k])))
     return look
 
 

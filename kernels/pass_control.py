@@ -24,6 +24,9 @@ SAMPLE_STEP = wp.constant(wp.int32(7))
 # same on every run.
 MIN_SAMPLE = wp.constant(wp.int32(2048))
 
+# A host closes the gaps that dead faces leave when fewer than this part of the faces is alive.
+LIVE_FRACTION = wp.constant(wp.float64(0.7))
+
 # Why a loop of passes ended. FULL_POOL: the adjacency has to be built anew, for want of room. COMPONENTS: some are
 # small enough to be pruned.
 RUNNING = wp.constant(wp.int32(0))
@@ -163,6 +166,82 @@ def trim_collapses(
         faces_removed_out[i] = faces
         if faces > 0:
             wp.atomic_add(control.removed_faces, 0, faces)
+
+
+@wp.kernel
+def note_candidates(
+    # in
+    candidates: EdgeList,
+    # in and out
+    control: PassControl,
+):
+    """Note how many edges a pass looks at."""
+    control.candidate_count[0] = candidates.count[0]
+
+
+@wp.kernel
+def trim_in_order(
+    # in
+    state: MeshState,
+    selected: EdgeList,
+    faces_removed_in: wp.array[wp.int32],
+    # in and out
+    control: PassControl,
+    # out
+    faces_removed_out: wp.array[wp.int32],
+    legal_count: wp.array[wp.int32],
+):
+    """What ``trim_collapses`` does, in one thread, which counts the collapses that go ahead, too."""
+    remaining = control.live_faces[0] - control.target_faces[0]
+    total = wp.int32(0)
+    for i in range(selected.count[0]):
+        total += faces_removed_in[i]
+    legal = wp.int32(0)
+    removed = wp.int32(0)
+    for i in range(selected.count[0]):
+        faces = faces_removed_in[i]
+        if faces > 0 and total > remaining:
+            key = log_key(state, selected.half_edge[i])
+            before = wp.int32(0)
+            for j in range(selected.count[0]):
+                if faces_removed_in[j] > 0 and log_key(state, selected.half_edge[j]) < key:
+                    before += faces_removed_in[j]
+            if before >= remaining:
+                faces = 0
+        faces_removed_out[i] = faces
+        removed += faces
+        legal += wp.where(faces > 0, 1, 0)
+    legal_count[0] = legal
+    control.live_faces[0] = control.live_faces[0] - removed
+
+
+@wp.struct
+class Upkeep:
+    """What is to be done after the rounds of a pass, 1 or 0 each."""
+
+    any: wp.array[wp.int32]  # edges collapsed
+    compacts: wp.array[wp.int32]  # close the gaps that dead faces leave
+    builds: wp.array[wp.int32]  # build the adjacency anew
+    updates: wp.array[wp.int32]  # bring it up to date
+
+
+@wp.kernel
+def find_upkeep(
+    # in
+    state: MeshState,
+    log: CollapseLog,
+    control: PassControl,
+    # out
+    upkeep: Upkeep,
+):
+    """What the collapses of a pass ask for."""
+    any = wp.where(log.count[0] > control.pass_begin[0], 1, 0)
+    upkeep.any[0] = any
+    few = wp.float64(control.live_faces[0]) < LIVE_FRACTION * wp.float64(state.face_count[0])
+    upkeep.compacts[0] = wp.where(few, any, 0)
+    overfull = state.adjacency.used[0] > state.adjacency.corner.shape[0]
+    upkeep.builds[0] = wp.where(few or overfull, any, 0)
+    upkeep.updates[0] = any - upkeep.builds[0]
 
 
 @wp.func

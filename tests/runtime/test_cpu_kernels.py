@@ -11,6 +11,7 @@ import pytest
 import warp as wp
 from typer.testing import CliRunner
 
+from tests.support.usd_stages import cloth_stage
 from warpqem.cli.main import app
 from warpqem.runtime import cpu_kernels
 from warpqem.runtime.compiling import compile_listener, cpu_code_path, is_compiled
@@ -111,12 +112,16 @@ wp.config.log_level = wp.LOG_WARNING
 asked = []
 cpu_kernels.is_compiled = lambda module, device: False
 cpu_kernels.compile_ahead = asked.extend
-options = SimplifyOptions(ratio=0.2, quality=sys.argv[3], device="cpu")
-simplify_stage(sys.argv[1], sys.argv[2], options)
+options = SimplifyOptions(ratio=0.2, quality=sys.argv[1], device="cpu")
+# A large mesh, and a small one.
+for file in sys.argv[3:]:
+    simplify_stage(file, sys.argv[2], options)
 asked, used = ({module.name for module in modules} for modules in (asked, [module for module, _ in launches._loaded]))
 print(sorted(asked - used), sorted(used - asked))
 """
-    arguments = [str(ROOT / "scenes" / "cape_wind.usdc"), str(tmp_path / "out.usdc"), quality]
+    cloth_stage(tmp_path / "cloth.usda")
+    files = [str(ROOT / "scenes" / "cape_wind.usdc"), str(tmp_path / "cloth.usda")]
+    arguments = [quality, str(tmp_path / "out.usdc"), *files]
     done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=False)
     assert done.stdout.split() == ["[]", "[]"], done.stderr
 

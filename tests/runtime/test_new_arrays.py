@@ -60,6 +60,62 @@ def test_views_hold_the_memory():
     assert len(others) == 100
 
 
+@pytest.mark.parametrize("shape", [5, (0,), (3, 4), (300, 400)])
+@pytest.mark.parametrize("dtype", [wp.int32, wp.vec3])
+def test_kernels_get_what_warp_says_of_an_array(shape, dtype):
+    made = new_arrays.zeros(shape, dtype=dtype, device="cpu")
+    plain = wp.array(ptr=made.ptr, dtype=dtype, shape=shape, device="cpu") if made.size else wp.zeros(shape, dtype)
+    assert bytes(made.__ctype__()) == bytes(plain.__ctype__())
+
+
+def whole(shape=(6, 4)) -> wp.array:
+    return wp.array(np.arange(np.prod(shape), dtype=np.int32).reshape(shape), dtype=wp.int32, device="cpu")
+
+
+@pytest.mark.parametrize(("first", "last"), [(0, 6), (1, 4), (5, 6), (2, 2)])
+def test_rows_are_those_of_a_slice(first, last):
+    array = whole()
+    part = new_arrays.part(array, first, last)
+    alike(part, array[first:last])
+    part.fill_(-1)
+    assert (array.numpy()[first:last] == -1).all()
+    assert (array.numpy() == -1).sum() == 4 * (last - first)
+
+
+@pytest.mark.parametrize("index", [0, 3, -1])
+def test_a_row_is_that_of_an_index(index):
+    array = whole()
+    alike(new_arrays.row(array, index), array[index])
+    assert new_arrays.row(array, index).numpy().tolist() == array.numpy()[index].tolist()
+
+
+def test_rows_of_what_is_not_contiguous_are_left_to_warp():
+    columns = whole()[:, 1:3]
+    assert new_arrays.part(columns, 1, 3).numpy().tolist() == [[5, 6], [9, 10]]
+    assert new_arrays.row(columns, 1).numpy().tolist() == [5, 6]
+    assert new_arrays.clone(columns).numpy().tolist() == columns.numpy().tolist()
+
+
+def test_rows_hold_the_memory():
+    part, row = new_arrays.part(whole(), 1, 2), new_arrays.row(whole(), 1)
+    gc.collect()
+    others = [new_arrays.zeros((6, 4), dtype=wp.int32, device="cpu") for _ in range(100)]
+    assert part.numpy().tolist() == [[4, 5, 6, 7]]
+    assert row.numpy().tolist() == [4, 5, 6, 7]
+    assert len(others) == 100
+
+
+@pytest.mark.parametrize("shape", [(0,), (6, 4), (300, 400)])
+def test_copies_are_others_with_the_same_values(shape):
+    array = whole(shape)
+    copied, target = new_arrays.clone(array), new_arrays.like(array)
+    new_arrays.copy(target, array)
+    array.fill_(-1)
+    for one in (copied, target):
+        alike(one, array)
+        assert one.numpy().ravel().tolist() == list(range(np.prod(shape)))
+
+
 class Filled:
     """NumPy, whose new memory is full of one byte."""
 

@@ -88,9 +88,9 @@ def new_log(capacity: int, device: str) -> tuple[CollapseLog, wp.array]:
     )
     log.count, log.round_count = (new_arrays.zeros(1, dtype=wp.int32, device=device) for _ in range(2))
     for index, name in enumerate(_INTEGERS):
-        setattr(log, name, rows[index])
+        setattr(log, name, new_arrays.row(rows, index))
     for index, name in enumerate(_NUMBERS, len(_INTEGERS)):
-        setattr(log, name, rows[index].view(wp.float32))
+        setattr(log, name, new_arrays.row(rows, index).view(wp.float32))
     return log, rows
 
 

@@ -69,7 +69,7 @@ class EdgeMarks:
 
     def __init__(self, corner_vertex: wp.array, border: wp.array, seam: wp.array, count: wp.array) -> None:
         self._corner_vertex, device = corner_vertex, corner_vertex.device
-        self._marks, self._before = wp.empty_like(border), wp.empty_like(border)
+        self._marks, self._before = new_arrays.like(border), new_arrays.like(border)
         launch(kernels.mark_constrained, len(border), [border, seam], [self._marks, self._before], device=device)
         wp.utils.array_scan(self._before, self._before, inclusive=True)
         wp.copy(count, self._before, src_offset=len(border) - 1, count=1)

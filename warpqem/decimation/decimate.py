@@ -21,9 +21,9 @@ from warpqem.decimation.constrained_edges import ConstrainedEdges, EdgeMarks
 from warpqem.decimation.deformation import build_deformation
 from warpqem.decimation.initial_quadrics import given_quadrics, initial_quadrics
 from warpqem.decimation.left import Left
+from warpqem.decimation.native_loop import SmallOrderer
 from warpqem.decimation.ordering import Ordering
 from warpqem.decimation.pass_steps import PassSteps
-from warpqem.decimation.passes import Orderer
 from warpqem.decimation.pruning import Components, DropRecord
 from warpqem.decimation.quadric_sums import QuadricSums, add_quadric_sums
 from warpqem.kernels import attribute as attribute_kernels
@@ -218,11 +218,11 @@ def _on_device(
     """The mesh as kernels see it, rearranged or a copy."""
     state, frames = MeshState(), KEY_FRAMES[width_of(mesh.key_position)]()
     if arrangement is None:
-        corner_vertex, frames.input = wp.clone(input_corners), mesh.key_position
+        corner_vertex, frames.input = new_arrays.clone(input_corners), mesh.key_position
     else:
         corner_vertex = arrangement.rearrange_faces(input_corners)
         frames.input = arrangement.rearrange_rows(mesh.key_position)
-    frames.position = wp.clone(frames.input)
+    frames.position = new_arrays.clone(frames.input)
 
     def of_vertices(values: np.ndarray, dtype: type) -> wp.array:
         uploaded = new_arrays.uploaded(values, dtype=dtype, device=device)
@@ -322,7 +322,7 @@ def _cost_model(mesh: DecimationInput, settings: OrderSettings) -> CostModel:
 def _new_ordering(steps: PassSteps) -> Ordering:
     """The loop for a kind of device: a GPU waits too long for the host, and a CPU for dead faces."""
     if not device_traits(steps.device).captures:
-        return Orderer(steps)
+        return SmallOrderer(steps)
     # Its kernels take a while to load, and a CPU has no use for them.
     from warpqem.decimation.device_loop import DeviceOrderer
 

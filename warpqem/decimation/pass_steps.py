@@ -296,12 +296,13 @@ class PassSteps:
 
         return [LaunchGroup(remove_dead, part_count)]
 
-    def renewing(self, part_count: int) -> list[LaunchGroup]:
-        """Update the costs of what moved, resume edges around it. Costs are worth all threads on any mesh."""
+    def renewing(self, part_count: int, cost_parts: int | None = None) -> list[LaunchGroup]:
+        """Update the costs of what moved, resume edges around it. Costs are worth all threads, or ``cost_parts``."""
         state = self.state
+        cost_parts = self.threads if cost_parts is None else cost_parts
 
         def update_costs(recorder: Recorder, part: int) -> None:
-            work = part_work(part, self.threads, self.device)
+            work = part_work(part, cost_parts, self.device)
             inputs = [state, self.frames, self.model, self.log, self.pass_begin]
             record_shared(recorder, cost_kernels.update_moved_costs[self._width], inputs, work)
 
@@ -313,23 +314,23 @@ class PassSteps:
         measured = self._measuring(deformation_kernels.move_trajectories, moved)
         measured += self._measuring(deformation_kernels.measure_moved_deformation, moved)
         if self._memoryless:
-            return [*measured, *self._renewing_quadrics()]
-        return [*measured, LaunchGroup(update_costs, self.threads), LaunchGroup(resume, part_count)]
+            return [*measured, *self._renewing_quadrics(cost_parts)]
+        return [*measured, LaunchGroup(update_costs, cost_parts), LaunchGroup(resume, part_count)]
 
-    def _renewing_quadrics(self) -> list[LaunchGroup]:
+    def _renewing_quadrics(self, cost_parts: int) -> list[LaunchGroup]:
         """Make the quadrics around what moved anew, and the costs of all edges there."""
         weights = memoryless_kernels.LineWeights()
         weights.border, weights.seam = CONSTRAINT_WEIGHT[1], CONSTRAINT_WEIGHT[2]
         around = [self.mask, self.pass_number]
 
         def renew(recorder: Recorder, part: int) -> None:
-            work = part_work(part, self.threads, self.device)
+            work = part_work(part, cost_parts, self.device)
             inputs = [self.state, self.frames, weights, *around]
             record_shared(recorder, memoryless_kernels.renew_quadrics[self._width], inputs, work)
 
         def update_costs(recorder: Recorder, part: int) -> None:
-            work = part_work(part, self.threads, self.device)
+            work = part_work(part, cost_parts, self.device)
             inputs = [self.state, self.frames, self.model, *around]
             record_shared(recorder, cost_kernels.update_neighbourhood_costs[self._width], inputs, work)
 
-        return [LaunchGroup(renew, self.threads), LaunchGroup(update_costs, self.threads)]
+        return [LaunchGroup(renew, cost_parts), LaunchGroup(update_costs, cost_parts)]

@@ -29,8 +29,7 @@ __all__ = ["Orderer"]
 
 CANDIDATE_FRACTION, FRACTION_GROWTH = float(control_kernels.CANDIDATE_FRACTION), float(control_kernels.FRACTION_GROWTH)
 EDGES_PER_FACE, SAMPLE_STEP = float(control_kernels.EDGES_PER_FACE), int(control_kernels.SAMPLE_STEP)
-# Faces are compacted when fewer than this part of them is alive.
-LIVE_FRACTION = 0.7
+LIVE_FRACTION = float(control_kernels.LIVE_FRACTION)
 # Meshes of at least so many faces are worked on by all CPU threads throughout; below it a thread takes longer to start
 # than most kernels of a pass run.
 SHARED_FACES = 60_000
@@ -55,12 +54,12 @@ class Orderer(Ordering):
             return
         state, device, face_count = self.state, self.device, self.face_slots
         self._live_rank = new_arrays.empty(face_count, dtype=wp.int32, device=device)
-        self._spare_corner_vertex = wp.empty_like(state.corner_vertex)
-        self._spare_edge_cost = wp.empty_like(state.edge_cost)
-        self._spare_seam = wp.empty_like(state.seam)
-        self._spare_wedge = wp.empty_like(state.wedges.corner_wedge)
-        self._spare_area = wp.empty_like(state.deformation.face_area)
-        self._spare_steps = wp.empty_like(state.deformation.steps)
+        self._spare_corner_vertex = new_arrays.like(state.corner_vertex)
+        self._spare_edge_cost = new_arrays.like(state.edge_cost)
+        self._spare_seam = new_arrays.like(state.seam)
+        self._spare_wedge = new_arrays.like(state.wedges.corner_wedge)
+        self._spare_area = new_arrays.like(state.deformation.face_area)
+        self._spare_steps = new_arrays.like(state.deformation.steps)
 
     def run(
         self,

@@ -59,8 +59,8 @@ class RecordedLaunches:
 
 
 def run_once(groups: Sequence[LaunchGroup], device: str) -> None:
-    """Run groups of launches one after another, of which a device that captures makes no graph."""
-    if not device_traits(device).captures:
+    """Run groups of launches one after another, of which nothing is recorded but what threads share."""
+    if not device_traits(device).captures and any(group.part_count > 1 for group in groups):
         RecordedLaunches(groups, device).run()
         return
     recorder = DirectRecorder(device)

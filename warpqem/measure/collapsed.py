@@ -56,10 +56,10 @@ def _holds(
 
 def _is_flat(points: npt.NDArray[Any], faces: npt.NDArray[np.integer]) -> bool:
     """Whether each face is a line or a point."""
-    corner = points[faces].astype(np.float64)
-    edges = np.roll(corner, -1, axis=1) - corner
-    longest = (edges**2).sum(axis=2).max(axis=1)
-    height_area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    a, b, c = points[faces.T].astype(np.float64)
+    edges = np.stack([b - a, c - b, a - c])
+    longest = (edges**2).sum(axis=2).max(axis=0)
+    height_area = np.linalg.norm(np.cross(edges[0], edges[1]), axis=1)
     return bool((height_area <= LINE_HEIGHT * longest).all())
 
 

@@ -20,6 +20,7 @@ from warpqem.runtime.readback import read_together
 __all__ = [
     "FaceLists",
     "FacesAround",
+    "PointLists",
     "PointsAndFaces",
     "furthest_from",
     "longest_edges",
@@ -88,7 +89,41 @@ class FacesAround(FaceLists):
 def _uploaded(values: npt.NDArray[np.integer] | wp.array, device: str) -> wp.array:
     if isinstance(values, wp.array):
         return values
-    return wp.array(values.astype(np.int32, copy=False), dtype=wp.int32, device=device, copy=False)
+    return new_arrays.uploaded(values.astype(np.int32, copy=False), dtype=wp.int32, device=device, copy=False)
+
+
+class PointLists:
+    """Points and the clusters of each, on the device that they are first asked for.
+
+    Args:
+        point: (n,) int, points.
+        row: (n,) int, the row of ``clusters`` for each.
+        clusters: where each row starts, (R+1,) int, and clusters, int, on the host or the device.
+    """
+
+    def __init__(
+        self,
+        point: npt.NDArray[np.integer],
+        row: npt.NDArray[np.integer],
+        clusters: tuple[npt.NDArray[np.integer], npt.NDArray[np.integer] | wp.array],
+    ) -> None:
+        self._values = (point, row, *clusters)
+        self._there: tuple[wp.array, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self._values[0])
+
+    def on(self, device: str) -> tuple[wp.array, ...]:
+        """All four on the device."""
+        if not self._there:
+            self._there = tuple(_uploaded(values, device) for values in self._values)
+        return self._there
+
+    @classmethod
+    def at(cls, point: npt.NDArray[np.integer], cluster: npt.NDArray[np.integer]) -> PointLists:
+        """Points with one cluster (n,) each."""
+        every = np.arange(len(point) + 1)
+        return cls(point, every[:-1], (every, cluster))
 
 
 @dataclass(frozen=True)
@@ -99,9 +134,7 @@ class PointsAndFaces:
         own: (P, B) blocks of points.
         other: (V, B) blocks of the same frames of the other mesh.
         faces: its faces.
-        point: (n,) int, points of ``own``.
-        row: (n,) int, the row of ``clusters`` for each.
-        clusters: where each row starts, (R+1,) int, and clusters, int, on the host or the device.
+        points: those of ``own`` to look at, with their clusters.
         lists: faces of ``other`` at each cluster.
         around: the simplified mesh's faces at each cluster.
     """
@@ -109,26 +142,9 @@ class PointsAndFaces:
     own: wp.array
     other: wp.array
     faces: FacesAround
-    point: npt.NDArray[np.integer]
-    row: npt.NDArray[np.integer]
-    clusters: tuple[npt.NDArray[np.integer], npt.NDArray[np.integer] | wp.array]
+    points: PointLists
     lists: FaceLists
     around: FacesAround
-
-    @classmethod
-    def at(
-        cls,
-        own: wp.array,
-        other: wp.array,
-        faces: FacesAround,
-        point: npt.NDArray[np.integer],
-        cluster: npt.NDArray[np.integer],
-        lists: FaceLists,
-        around: FacesAround,
-    ) -> PointsAndFaces:
-        """Points with one cluster (n,) each."""
-        every = np.arange(len(point) + 1)
-        return cls(own, other, faces, point, every[:-1], (every, cluster), lists, around)
 
 
 def furthest_from(
@@ -152,20 +168,18 @@ def furthest_from(
         nearest = new_arrays.full(len(within), -1, dtype=wp.int32, device=device)
     first = 0
     for one in given:
-        last = first + len(one.point)
+        last = first + len(one.points)
         if last > first:
-            part = slice(first, last)
-            _measure(one, within[part], nearest[part], furthest[part], device)
+            rows = [new_arrays.part(array, first, last) for array in (within, nearest, furthest)]
+            _measure(one, rows[0], rows[1], rows[2], device)
         first = last
     return furthest
 
 
 def _measure(given: PointsAndFaces, within: wp.array, nearest: wp.array, furthest: wp.array, device: str) -> None:
     """Raise the squared distances ``furthest`` (n,), zero before, to those found."""
-    own, other, count = given.own, given.other, len(given.point)
-    point, row, cluster_start, cluster = (
-        _uploaded(values, device) for values in (given.point, given.row, *given.clusters)
-    )
+    own, other, count = given.own, given.other, len(given.points)
+    point, row, cluster_start, cluster = given.points.on(device)
     inputs = [own, other, given.faces.corners(device), rows_of(point), rows_of(row), cluster_start, cluster]
     # Where points are too few for the device, frames are shared out, too.
     shares = max(1, min(own.shape[1], device_traits(device).launch_threads // count))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -43,6 +44,25 @@ class Draws:
     weight: Doubles
 
 
+@functools.cache
+def _spread_bits() -> Ints:
+    """Each number of a curve's bits with two empty bits behind each of them."""
+    number = np.arange(2**CURVE_BITS)
+    spread = np.zeros_like(number)
+    for bit in range(CURVE_BITS):
+        spread |= (number >> bit & 1) << 3 * bit
+    return spread
+
+
+@functools.lru_cache(maxsize=8)
+def _numbers(key: tuple[int, ...], count: int) -> tuple[Doubles, Doubles]:
+    """The place of each of so many samples among the strata, and its second number; meshes of one frame share them."""
+    random, stratum = np.random.default_rng(list(key)), np.arange(count, dtype=np.float64)
+    place: Doubles = stratum + random.random(count)
+    second: Doubles = (random.random() + GOLDEN * stratum) % 1.0
+    return place, second
+
+
 def _along_curve(points: Doubles) -> Ints:
     """The order of points (N, 3) along a Morton curve."""
     low = points.min(axis=0)
@@ -52,11 +72,8 @@ def _along_curve(points: Doubles) -> Ints:
     if extent > 0:
         # Off any simple fraction of the extent: points of a regular mesh are in the same cells wherever it stands.
         cell = ((points - low) * ((side - 1) / extent) + GOLDEN).astype(np.int64)
-    code = np.zeros(len(points), dtype=np.int64)
-    for bit in range(CURVE_BITS):
-        for axis in range(3):
-            code |= (cell[:, axis] >> bit & 1) << (3 * bit + axis)
-    return np.argsort(code, kind="stable")
+    spread = _spread_bits()[cell]
+    return np.argsort(spread[:, 0] | spread[:, 1] << 1 | spread[:, 2] << 2, kind="stable")
 
 
 class SampleDraws:
@@ -108,19 +125,18 @@ class SampleDraws:
         mean = (areas * density).sum(axis=1) / areas.sum(axis=1)
         place = np.empty((len(areas), count), dtype=np.int64)
         first, second, weight = (np.empty(place.shape) for _ in range(3))
-        stratum = np.arange(count)
         seed, side = self._key
         for row, frame in enumerate(frames):
-            random = np.random.default_rng([seed, frame, side, 1] if pilot else [seed, frame, side])
+            key = (seed, int(frame), side)
+            strata, second[row] = _numbers((*key, 1) if pilot else key, count)
             relative = UNIFORM_SHARE + (1.0 - UNIFORM_SHARE) / mean[row] * density
             share = areas[row] * relative
             total = np.cumsum(share)
-            drawn = (stratum + random.random(count)) * (total[-1] / count)
+            drawn = strata * (total[-1] / count)
             # Rounding may put the last one beyond the last face with an area.
             last = int(np.searchsorted(total, total[-1]))
             place[row] = np.searchsorted(total, drawn, side="right").clip(0, last)
             first[row] = np.clip(1.0 - (total[place[row]] - drawn) / share[place[row]], 0.0, 1.0)
-            second[row] = (random.random() + GOLDEN * stratum) % 1.0
             weight[row] = 1.0 / relative[place[row]]
         root = np.sqrt(first)
         return Draws(self._order[place], np.stack([root * (1.0 - second), root * second], axis=-1), weight)

@@ -8,8 +8,10 @@ simplified mesh at the input faces of the clusters there. So a place is never ne
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -19,7 +21,7 @@ import warp as wp
 from warpqem.kernels import distance_points as kernels
 from warpqem.kernels.lanes import width_of
 from warpqem.kernels.large_faces import largest_of_points
-from warpqem.measure.far_points import FaceLists, FacesAround, PointsAndFaces, furthest_from
+from warpqem.measure.far_points import FaceLists, FacesAround, PointLists, PointsAndFaces, furthest_from
 from warpqem.measure.large_faces import LargeFaces
 from warpqem.runtime import new_arrays
 from warpqem.runtime.device import device_traits
@@ -61,7 +63,7 @@ class Side:
 
 
 @dataclass(frozen=True)
-class _Vertices:
+class _Vertices(ABC):
     """Vertices (n,) of one surface, and the other one.
 
     Attributes:
@@ -79,6 +81,20 @@ class _Vertices:
     def count(self) -> int:
         """Vertices n."""
         return len(self.vertex)
+
+    @property
+    @abstractmethod
+    def clusters(self) -> npt.NDArray[np.integer]:
+        """(n, 1) int, where each is."""
+
+    @property
+    def lists(self) -> PointLists:
+        """The vertices with their clusters; those of a small mesh are kept for all looks at them."""
+        return self._kept_lists if self.count <= POINTS_AT_ONCE else PointLists.at(self.vertex, self.clusters[:, 0])
+
+    @cached_property
+    def _kept_lists(self) -> PointLists:
+        return PointLists.at(self.vertex, self.clusters[:, 0])
 
 
 @dataclass(frozen=True)
@@ -99,7 +115,7 @@ class InputVertices(_Vertices):
     def around(self, _: wp.array) -> Iterator[PointsAndFaces]:
         """The points and the faces around."""
         side = self.side
-        yield PointsAndFaces.at(self.lanes, side.lanes, side.faces, self.vertex, self.cluster, side.lists, side.faces)
+        yield PointsAndFaces(self.lanes, side.lanes, side.faces, self.lists, side.lists, side.faces)
 
 
 @dataclass(frozen=True)
@@ -138,27 +154,35 @@ class SampledFaces:
         at_once = max(1, POINTS_AT_ONCE // each)
         for first in range(0, self.count, at_once):
             last = min(first + at_once, self.count)
-            clusters, count = self.clusters[first:last], last - first
-            start = np.arange(0, clusters.size + 1, clusters.shape[1], dtype=np.int32)
-            point = np.arange(each * count, dtype=np.int32)
-            points = self._points(self.faces[first:last], within[each * first : each * last])
-            row = np.repeat(point[:count], each)
-            lists = start, clusters.reshape(-1)
-            yield PointsAndFaces(points, side.lanes, side.faces, point, row, lists, side.lists, around)
+            whole = last - first == self.count
+            corners, lists = self._all_lists if whole else self._lists(slice(first, last))
+            points = self._points(corners, new_arrays.part(within, each * first, each * last))
+            yield PointsAndFaces(points, side.lanes, side.faces, lists, side.lists, around)
 
-    def _points(self, faces: npt.NDArray[np.integer] | wp.array, within: wp.array) -> wp.array:
-        """Blocks of the points of some faces (m, 3), one face after another."""
-        device, each = str(self.lanes.device), self.points_of_each
-        blocks = self.lanes.shape[1]
-        points = wp.empty((len(faces), each * blocks), dtype=self.lanes.dtype, device=device)
+    @cached_property
+    def _all_lists(self) -> tuple[wp.array, PointLists]:
+        """Those of all faces, for all looks at them."""
+        return self._lists(slice(self.count))
+
+    def _lists(self, some: slice) -> tuple[wp.array, PointLists]:
+        """The corners (3 m,) of some faces on the device, and their points with their clusters."""
+        faces, clusters, each = self.faces[some], self.clusters[some], self.points_of_each
         if not isinstance(faces, wp.array):
-            faces = wp.array(np.ascontiguousarray(faces, dtype=np.int32), dtype=wp.int32, device=device)
-        corner_vertex = faces.reshape(-1)
-        weights = wp.array(self.weights, dtype=wp.vec3, device=device)
+            faces = new_arrays.uploaded(faces, dtype=wp.int32, device=str(self.lanes.device))
+        start = np.arange(0, clusters.size + 1, clusters.shape[1], dtype=np.int32)
+        point = np.arange(each * len(faces), dtype=np.int32)
+        return faces.reshape(-1), PointLists(point, np.repeat(point[: len(faces)], each), (start, clusters.reshape(-1)))
+
+    def _points(self, corner_vertex: wp.array, within: wp.array) -> wp.array:
+        """Blocks of the points of some faces, of these corners (3 m,), one face after another."""
+        device, each = str(self.lanes.device), self.points_of_each
+        count, blocks = len(corner_vertex) // 3, self.lanes.shape[1]
+        points = new_arrays.empty((count, each * blocks), dtype=self.lanes.dtype, device=device)
+        weights = new_arrays.uploaded(self.weights, dtype=wp.vec3, device=device)
         launch_in_parts(
             kernels.points_of_faces[width_of(self.lanes)],
-            (len(faces), each, blocks),
-            [self.lanes, corners_of(corner_vertex), weights, rows_of(within.reshape((len(faces), each)))],
+            (count, each, blocks),
+            [self.lanes, corners_of(corner_vertex), weights, rows_of(within.reshape((count, each)))],
             [rows_of(points)],
             device=device,
         )
@@ -184,9 +208,7 @@ class SimplifiedVertices(_Vertices):
     def around(self, _: wp.array) -> Iterator[PointsAndFaces]:
         """The points and the faces around."""
         side = self.side
-        yield PointsAndFaces.at(
-            self.lanes, side.lanes, side.faces, self.vertex, self.vertex, side.lists, self.around_clusters
-        )
+        yield PointsAndFaces(self.lanes, side.lanes, side.faces, self.lists, side.lists, self.around_clusters)
 
 
 Places = InputVertices | SampledFaces | SimplifiedVertices
@@ -291,5 +313,5 @@ def _points_around(places: Sequence[Places], within: wp.array) -> Iterator[Point
     for one in places:
         last = first + one.count * one.points_of_each
         if last > first:
-            yield from one.around(within[first:last])
+            yield from one.around(new_arrays.part(within, first, last))
         first = last

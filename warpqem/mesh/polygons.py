@@ -158,6 +158,8 @@ def repeated_polygons(counts: np.ndarray, indices: np.ndarray) -> RepeatedPolygo
         counts: (P,) int32, corners of each polygon, not negative.
         indices: (C,) int32, the point of each corner.
     """
+    if not (counts > 3).any():
+        return None
     first = np.cumsum(counts, dtype=np.int64) - counts
     original = np.arange(len(counts), dtype=np.int64)
     place = np.arange(len(indices), dtype=np.int64) - np.repeat(first, counts)

@@ -55,9 +55,10 @@ def read_seams(seams: Any, faces: np.ndarray, vertex_count: int) -> Seams:
         OptionError: two vertices without an edge between them.
     """
     if seams is None or is_empty(seams):
-        none = np.zeros(vertex_count, dtype=bool)
-        return Seams(np.zeros(faces.size, dtype=np.int32), none, none)
+        return _no_seams(faces, vertex_count)
     ends = seam_ends(seams, vertex_count)
+    if not len(ends):
+        return _no_seams(faces, vertex_count)
     tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     key, index, count = np.unique(edge_key(tail, head, vertex_count), return_inverse=True, return_counts=True)
     wanted = np.unique(edge_key(ends[:, 0], ends[:, 1], vertex_count))
@@ -73,6 +74,11 @@ def read_seams(seams: Any, faces: np.ndarray, vertex_count: int) -> Seams:
     on_border = np.bincount(border_edges.ravel(), minlength=vertex_count) > 0
     on_seam = degree > 0
     return Seams(is_seam[index].astype(np.int32), on_seam, on_seam & ((degree != 2) | on_border))
+
+
+def _no_seams(faces: np.ndarray, vertex_count: int) -> Seams:
+    none = np.zeros(vertex_count, dtype=bool)
+    return Seams(np.zeros(faces.size, dtype=np.int32), none, none)
 
 
 def half_edge_ends(faces: np.ndarray, half_edge: np.ndarray) -> np.ndarray:

@@ -31,7 +31,7 @@ def used_vertices(
         return None
     # The vertices, and whether a face is unfit: the host waits once. In whole words.
     marks = new_arrays.zeros(-(-(vertex_count + 1) // 4) * 4, dtype=wp.bool, device=device)
-    corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device, copy=False)
+    corner_vertex = new_arrays.uploaded(faces.ravel(), dtype=wp.int32, device=device, copy=False)
     outputs = [marks[:vertex_count], marks[vertex_count : vertex_count + 1]]
     launch(mark_used_vertices, len(faces), [corner_vertex], outputs, device=device)
     looked: list[wp.array] = []

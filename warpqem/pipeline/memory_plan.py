@@ -8,9 +8,11 @@ checked against the memory that processes took (benchmarks/NOTES.md).
 
 from __future__ import annotations
 
+import functools
 import math
 import os
 import re
+import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -39,6 +41,9 @@ __all__ = [
 UNITS = {"": 1, "K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40}
 # Without a limit this part of what is free is used: other programs need some, and the factors are not exact.
 DEFAULT_SHARE = 0.8
+# Seconds for which the system is not asked again what is free: that takes a hundredth of a small mesh's time, and a
+# call asks four times.
+READ_AGAIN = 0.1
 
 
 @dataclass(frozen=True)
@@ -396,12 +401,21 @@ def format_bytes(count: int) -> str:
 
 
 def available_memory(device: str) -> int | None:
-    """Bytes that are free on the host, and on the device if it is another; None where the system does not say."""
-    found = [free for free in (_system_free(), _group_free()) if free is not None]
+    """Bytes that are free on the host, and on the device if it is another; None where the system does not say.
+
+    Those of the host are as they were up to ``READ_AGAIN`` seconds ago.
+    """
+    found = list(_host_free(int(time.monotonic() / READ_AGAIN)))
     used = wp.get_device(resolve_device(device))
     if used.is_cuda:
         found.append(int(used.free_memory))
     return min(found, default=None)
+
+
+@functools.lru_cache(maxsize=1)
+def _host_free(moment: int) -> tuple[int, ...]:
+    """What the system and the container say that is free at a moment, which small meshes share."""
+    return tuple(free for free in (_system_free(), _group_free()) if free is not None)
 
 
 def _default_limit(device: str) -> int | None:

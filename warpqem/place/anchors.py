@@ -56,7 +56,9 @@ class Clusters:
         np.maximum.at(highest_rank, owner, rank)
         highest = np.bincount(owner[rank == highest_rank[owner]], minlength=cluster_count)
         holder_count = np.where(highest_rank > 0, highest, size).astype(np.int32)
-        there, ranks = (wp.array(values, dtype=wp.int32, device=device, copy=False) for values in (cluster, line_rank))
+        there, ranks = (
+            new_arrays.uploaded(values, dtype=wp.int32, device=device, copy=False) for values in (cluster, line_rank)
+        )
         holder = new_arrays.full(-(-len(cluster) // 3) * 3, -1, dtype=wp.int32, device=device)
         inputs = [there, ranks, new_arrays.uploaded(highest_rank, dtype=wp.int32, device=device)]
         launch(row_kernels.choose_highest, len(cluster), inputs, [holder], device=device)
@@ -114,11 +116,12 @@ def nearest_members(ordered: DecimatedMesh, clusters: Clusters, most: int) -> tu
     distance = _cluster_distances(ordered, device)
     size = np.minimum(clusters.holder_count, most)
     starts = _starts(size)
-    start, vertex = wp.array(starts, device=device), new_arrays.empty(int(starts[-1]), dtype=wp.int32, device=device)
+    start = new_arrays.uploaded(starts, dtype=wp.int32, device=device)
+    vertex = new_arrays.empty(int(starts[-1]), dtype=wp.int32, device=device)
     if device_traits(str(device)).in_order:
         _find_in_order(clusters.holder, distance, start, vertex)
     else:
-        first = wp.array(_starts(clusters.holder_count), device=device)
+        first = new_arrays.uploaded(_starts(clusters.holder_count), dtype=wp.int32, device=device)
         _find_by_sort(clusters.holder, distance, first, start, vertex)
     return size, start, vertex
 
@@ -160,7 +163,7 @@ def _find_by_sort(holder: wp.array, distance: wp.array, first: wp.array, start: 
 def _cluster_distances(ordered: DecimatedMesh, device: str) -> wp.array:
     """(V,) float32, squared distance over the key frames of each input vertex from where its cluster's vertex went."""
     kernel = kernels.measure_cluster_distances[width_of(ordered.position)]
-    row = wp.array(ordered.row[ordered.root], device=device)
+    row = new_arrays.uploaded(ordered.row[ordered.root], dtype=wp.int32, device=device)
     distance = new_arrays.empty(len(row), dtype=wp.float32, device=device)
     inputs = [rows_of(row), rows_of(ordered.key_position), ordered.position]
     launch_in_parts(kernel, len(row), inputs, [rows_of(distance)], device=device)
@@ -194,7 +197,7 @@ def fit_anchors(
     matrix = new_arrays.zeros(int(first_entry[-1]), dtype=wp.float32, device=device)
     stiffness = new_arrays.uploaded(regularisation, dtype=wp.float32, device=device)
     weight = new_arrays.empty(len(member), dtype=wp.float32, device=device)
-    starts = wp.array(first_entry, device=device)
+    starts = new_arrays.uploaded(first_entry, dtype=wp.int32, device=device)
     fit_weights(ordered, row, Anchors(member_start, member, weight), starts, stiffness, matrix)
     return Anchors(member_start, member, weight)
 

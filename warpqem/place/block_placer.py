@@ -192,7 +192,8 @@ class BlockPlacer:
         self._clusters = kernels.Clusters()
         for name, values in data.rows.items():
             if isinstance(values, np.ndarray):
-                values = wp.array(values, dtype=kernels.Clusters.vars[name].type.dtype, device=device, copy=False)
+                dtype = kernels.Clusters.vars[name].type.dtype
+                values = new_arrays.uploaded(values, dtype=dtype, device=device, copy=False)
             setattr(self._clusters, name, values)
         none = np.empty(0, dtype=np.int32)
         self.copy_vertices(none, none)
@@ -267,7 +268,7 @@ class BlockPlacer:
         packed = pack_block(mesh, points, device) if packed is None else packed
         block_count = packed.shape[1]
         out = new_arrays.empty((vertex_count, block_count), dtype=packed.dtype, device=device)
-        normal = wp.empty_like(out)
+        normal = new_arrays.like(out)
         launch_in_parts(
             kernels.place_vertices[width],
             (vertex_count, block_count),

@@ -82,7 +82,7 @@ class ClusterFaces:
         count = new_arrays.zeros(cluster_count + 1, dtype=wp.int32, device=device)
         self._lists, self._corner_weight = [starts_of(adjacency.start), adjacency.corner], corner_weight
         launch_in_parts(kernels.count_faces, cluster_count, self._lists, [rows_of(count)], device=device)
-        self.start = wp.empty_like(count)
+        self.start = new_arrays.like(count)
         wp.utils.array_scan(count, self.start, inclusive=False)
         self.total = self.start[cluster_count:]
 

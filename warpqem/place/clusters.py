@@ -113,7 +113,7 @@ class ClusterPlacer:
         if settings.loose is not None:
             loose = np.unique(cluster[settings.loose & (cluster >= 0)])
             stiffness[loose], regularisation[loose] = MIN_STIFFNESS, MIN_REGULARISATION
-        corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device, copy=False)
+        corner_vertex = new_arrays.uploaded(faces.ravel(), dtype=wp.int32, device=device, copy=False)
         own_faces = _own_faces(corner_vertex, clusters.cluster, quadric_scale, len(kept))
         if settings.endpoint:
             anchors = nearest_anchors(ordered, clusters)
@@ -187,7 +187,7 @@ def _own_faces(
     device, corner_count = corner_vertex.device, len(corner_vertex)
     corner_cluster = new_arrays.empty(corner_count, dtype=wp.int32, device=device)
     corner_weight = new_arrays.empty(corner_count, dtype=wp.float32, device=device)
-    scale = wp.array(quadric_scale, dtype=wp.float32, device=device, copy=False)
+    scale = new_arrays.uploaded(quadric_scale, dtype=wp.float32, device=device, copy=False)
     inputs, outputs = [rows_of(corner_vertex), cluster, scale], [rows_of(corner_cluster), rows_of(corner_weight)]
     launch_in_parts(kernels.label_corners, corner_count, inputs, outputs, device=device)
     return ClusterFaces(corner_cluster, corner_weight, cluster_count)

@@ -61,14 +61,14 @@ class ComponentLimits:
         self.sampled = sampled = kernels.Limits()
         count = int(self._component.max(initial=-1)) + 1
         sampled.frame_scale = frame_scale
-        sampled.component = wp.array(self._component, dtype=wp.int32, device=device)
+        sampled.component = new_arrays.uploaded(self._component, dtype=wp.int32, device=device)
         sampled.squared, sampled.own_squared = (
-            wp.full(count, SMALLEST_DISTANCE**2, dtype=wp.float32, device=device) for _ in range(2)
+            new_arrays.full(count, SMALLEST_DISTANCE**2, dtype=wp.float32, device=device) for _ in range(2)
         )
         self._of_vertex = np.zeros(vertex_count, dtype=np.int32)
         self._of_vertex[faces] = self._component[:, None]
         of_input = np.where(vertex_map >= 0, self._of_vertex[vertex_map], -1).astype(np.int32)
-        sampled.vertex_component = wp.array(of_input, dtype=wp.int32, device=device)
+        sampled.vertex_component = new_arrays.uploaded(of_input, dtype=wp.int32, device=device)
         sampled.far = new_arrays.zeros(vertex_count, dtype=wp.int32, device=device)
         self._own: OwnParts | None = None
         self._room: int | None = None

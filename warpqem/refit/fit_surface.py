@@ -193,7 +193,7 @@ class _Refit:
             build_adjacency(corner_vertex, mesh.vertex_count),
             seams[0].marks,
         )
-        self._moved = wp.clone(self._keys.points)
+        self._moved = new_arrays.clone(self._keys.points)
         self._matching = Matching(
             source,
             make_surface(self._moved, self._corner_vertex, self._adjacency, seams[1].marks),
@@ -255,12 +255,12 @@ class _Refit:
         elements, device, face_count = Elements(), self._device, len(self._faces)
         elements.corner_vertex = self._corner_vertex
         elements.adjacency_start, elements.adjacent_corner = self._adjacency.start, self._adjacency.corner
-        elements.block = wp.empty((face_count, 9), dtype=wp.mat33, device=device)
+        elements.block = new_arrays.empty((face_count, 9), dtype=wp.mat33, device=device)
         return _Equations(
             elements,
-            wp.empty((face_count, 3), dtype=wp.mat33, device=device),
-            wp.empty(face_count, dtype=wp.float32, device=device),
-            wp.empty(3 * face_count, dtype=wp.vec3, device=device),
+            new_arrays.empty((face_count, 3), dtype=wp.mat33, device=device),
+            new_arrays.empty(face_count, dtype=wp.float32, device=device),
+            new_arrays.empty(3 * face_count, dtype=wp.vec3, device=device),
         )
 
     def _assemble(self) -> None:
@@ -350,7 +350,7 @@ class _Refit:
         """Let some vertices (C,) bool go a share of their way."""
         if marked.any():
             factor = np.where(marked, np.float32(share), np.float32(1.0))
-            factors = wp.array(factor, dtype=wp.float32, device=self._device)
+            factors = new_arrays.uploaded(factor, dtype=wp.float32, device=self._device)
             launch(
                 frame_kernels.scale_corrections,
                 dim=self._vertex_count,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 
 import numpy as np
@@ -58,7 +59,7 @@ def make_surface(
     if seam is not None:
         surface.seam = new_arrays.uploaded(seam, dtype=wp.int32, device=device)
     surface.adjacency_start, surface.adjacent_corner = adjacency.start, adjacency.corner
-    surface.opposite = wp.empty_like(corner_vertex)
+    surface.opposite = new_arrays.like(corner_vertex)
     surface.border_out, surface.border_in = (
         new_arrays.full(vertex_count, -1, dtype=wp.int32, device=device) for _ in range(2)
     )
@@ -161,7 +162,7 @@ class Matching:
         lists = build_adjacency(self.input_pairs.face, self._face_count)
         self.input_start, self.input_order = lists.start, lists.corner
         if note is not None:
-            self._before = wp.clone(self._target.points)
+            self._before = new_arrays.clone(self._target.points)
         elif self._before is not None:
             points, arrays = self._target.points, (self._before, self._samples.vertex_squared)
             inputs, outputs = [rows_of(points)], [*map(rows_of, arrays)]
@@ -251,12 +252,18 @@ class Matching:
     def _turns_of(self, keys: range, pair_count: int, first: int = 0) -> kernels.Turns:
         """Which of ``pair_count`` pairs are found in some key frames, from the ``first`` one on."""
         key_count = len(self._source.points)
-        turns = kernels.Turns()
-        turns.first, turns.count, turns.key, turns.key_count = first, self._turns, keys.start, key_count
         # As many as the first frame has; the kernel leaves out those past the end.
-        turns.per_key = -(-pair_count // (key_count * self._turns)) * self._turns
-        turns.prefetches = int(device_traits(self._device).in_order)
-        return turns
+        per_key = -(-pair_count // (key_count * self._turns)) * self._turns
+        return _turns(first, self._turns, keys.start, key_count, per_key, device_traits(self._device).in_order)
+
+
+@functools.lru_cache(maxsize=256)
+def _turns(first: int, count: int, key: int, key_count: int, per_key: int, prefetches: bool) -> kernels.Turns:
+    """Kept, as it takes longer to make than a launch on a small mesh: nobody changes it."""
+    turns = kernels.Turns()
+    turns.first, turns.count, turns.key, turns.key_count = first, count, key, key_count
+    turns.per_key, turns.prefetches = per_key, int(prefetches)
+    return turns
 
 
 class _Hierarchy:
@@ -264,7 +271,7 @@ class _Hierarchy:
 
     def __init__(self, surface: Surface) -> None:
         # A mesh keeps its points, and they change from frame to frame.
-        self._mesh = wp.Mesh(points=wp.clone(surface.points[0]), indices=surface.corner_vertex)
+        self._mesh = wp.Mesh(points=new_arrays.clone(new_arrays.row(surface.points, 0)), indices=surface.corner_vertex)
 
     @property
     def id(self) -> int:
@@ -273,7 +280,7 @@ class _Hierarchy:
 
     def show(self, surface: Surface, key: int) -> None:
         """Fit it to a frame of a surface of the same faces."""
-        wp.copy(self._mesh.points, surface.points[key])
+        new_arrays.copy(self._mesh.points, new_arrays.row(surface.points, key))
         self._mesh.refit()
 
 

@@ -13,6 +13,7 @@ from warpqem.frames.stream import read_ahead
 from warpqem.kernels import material_frame as kernels
 from warpqem.place.block_placer import PlacedFrames
 from warpqem.place.frame_store import AnyFrameStore
+from warpqem.runtime import new_arrays
 from warpqem.runtime.part_launches import launch_in_parts, rows_of
 
 __all__ = ["FRAME_BYTES", "MaterialBlock", "MaterialFrames"]
@@ -37,7 +38,7 @@ class MaterialBlock:
 
     def moved(self, correction: wp.array) -> wp.array:
         """The points (n, C) with each vertex moved by its correction (C,) vec3, the same in all frames."""
-        moved = wp.empty(self.points.shape, dtype=wp.vec3, device=str(self.points.device))
+        moved = new_arrays.empty(self.points.shape, dtype=wp.vec3, device=str(self.points.device))
         self.move(correction, moved)
         return moved
 
@@ -80,14 +81,14 @@ class MaterialFrames:
         self, rings: kernels.OneRings, free: np.ndarray, placed: AnyFrameStore, blocks: Sequence[slice], device: str
     ) -> None:
         self._rings, self._placed, self._blocks, self._device = rings, placed, blocks, device
-        self._free = wp.array(free.astype(np.int32), dtype=wp.int32, device=device)
+        self._free = new_arrays.uploaded(free, dtype=wp.int32, device=device)
         self.is_kept = len(blocks) == 1
         self._kept: list[MaterialBlock] = []
 
     def of(self, placed: PlacedFrames) -> MaterialBlock:
         """Some frames."""
         points, normals = to_device(placed.points, self._device), to_device(placed.normals, self._device)
-        frames = wp.empty(points.shape, dtype=wp.mat33, device=self._device)
+        frames = new_arrays.empty(points.shape, dtype=wp.mat33, device=self._device)
         launch_in_parts(
             kernels.measure_material_frames,
             points.shape,

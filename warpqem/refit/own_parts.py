@@ -91,7 +91,7 @@ class OwnParts:
         room: int | None = None,
     ) -> None:
         self._device, self._limits, self._scale = device, limits, frame_scale
-        self._component = wp.array(component, dtype=wp.int32, device=device)
+        self._component = new_arrays.uploaded(component, dtype=wp.int32, device=device)
         reference, self._lanes = (self._packed(points) for points in (source, placed))
         vertex_count = placed.shape[1]
         around, around_output = FacesAround(corners, len(vertex_map)), FacesAround(faces, vertex_count)
@@ -143,10 +143,12 @@ class OwnParts:
         count = sum(one.count for one in vertices)
         nearest = new_arrays.full(count + len(begin), -1, dtype=wp.int32, device=device)
         most = new_arrays.full(count + len(begin), FAR, dtype=wp.float32, device=device)
-        _Look(vertices, component, nearest[:count], most[:count], device).raise_limits(self._limits)
+        found = new_arrays.part(nearest, 0, count), new_arrays.part(most, 0, count)
+        _Look(vertices, component, *found, device).raise_limits(self._limits)
         if len(begin):
-            launch(kernels.begin_at_vertices, len(begin), [nearest, begin], [nearest[count:]], device=device)
-            _Look(points, component, nearest[count:], most[count:], device).raise_limits(self._limits)
+            found = tuple(new_arrays.part(array, count, count + len(begin)) for array in (nearest, most))
+            launch(kernels.begin_at_vertices, len(begin), [nearest, begin], [found[0]], device=device)
+            _Look(points, component, *found, device).raise_limits(self._limits)
         return _Look([*vertices, *points], component, nearest, most, device)
 
     def mark_far(self, moved: wp.array, marks: wp.array) -> None:
@@ -185,6 +187,10 @@ def _rows_of_corners(places: SampledFaces, row: npt.NDArray[np.int32]) -> npt.ND
     return row[places.faces[:, places.weights.argmax(axis=1)]].ravel()
 
 
+def _part(array: wp.array, rows: slice) -> wp.array:
+    return new_arrays.part(array, rows.start, rows.stop)
+
+
 class _Look:
     """Some places and the components that they are held to.
 
@@ -207,7 +213,7 @@ class _Look:
             group = kernels.PlacesOfVertices()
             clusters = one.clusters
             if not isinstance(clusters, wp.array):
-                clusters = wp.array(clusters.astype(np.int32), dtype=wp.int32, device=device)
+                clusters = new_arrays.uploaded(clusters, dtype=wp.int32, device=device)
             group.vertex = clusters
             group.points, group.component = one.points_of_each, component
             first, self._count = self._count, self._count + one.count * one.points_of_each
@@ -219,7 +225,7 @@ class _Look:
         _, squared = self._distances(limits, 1.0, nowhere)
         wp.copy(self._most, squared)
         for group, points in self._groups:
-            part = squared[points]
+            part = _part(squared, points)
             launch(kernels.raise_own_limits, len(part), [group, part], [limits], device=self._device)
 
     def mark_far(self, limits: wp.array, step: wp.array, marks: wp.array) -> None:
@@ -229,15 +235,15 @@ class _Look:
         """
         within, squared = self._distances(limits, GROWTH, step)
         for group, points in self._groups:
-            part = squared[points]
-            inputs, outputs = [group, part, within[points]], [self._most[points], marks]
+            part = _part(squared, points)
+            inputs, outputs = [group, part, _part(within, points)], [_part(self._most, points), marks]
             launch(kernels.mark_far_places, len(part), inputs, outputs, device=self._device)
 
     def _distances(self, limits: wp.array, growth: float, step: wp.array) -> tuple[wp.array, wp.array]:
         """The limits of points, negative where none is looked at, and their distances, no closer than that; squared."""
         within = new_arrays.empty(self._count, dtype=wp.float32, device=self._device)
         for group, points in self._groups:
-            part = within[points]
-            inputs, outputs = [group, limits, growth, step], [self._most[points], part]
+            part = _part(within, points)
+            inputs, outputs = [group, limits, growth, step], [_part(self._most, points), part]
             launch(kernels.gather_limits, len(part), inputs, outputs, device=self._device)
         return within, squared_distances(self._places, within, self._device, self._nearest)

@@ -8,14 +8,16 @@ what Warp itself records (``wp.Launch``), so that a launch takes 3, and one that
 from __future__ import annotations
 
 import ctypes
+import functools
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
 import warp as wp
 
-__all__ = ["know_call", "prepared_call", "prepared_copy", "prepared_zero"]
+__all__ = ["PackedCall", "know_call", "packed_call", "prepared_call", "prepared_copy", "prepared_zero"]
 
 # Scalars that Warp converts by itself, bit by bit.
 CONVERTED = (wp.float16, wp.bfloat16)
@@ -31,6 +33,28 @@ FUNCTION = ctypes.CFUNCTYPE(None)
 # On a CPU blocks have one thread. Where a module keeps the code of such blocks.
 BLOCK_THREADS = 1
 CPU_CODE = (None, BLOCK_THREADS)
+
+
+@dataclass(frozen=True)
+class PackedCall:
+    """A launch of a kernel in memory: whoever keeps it keeps its code, and no array.
+
+    Attributes:
+        function: the code, which takes addresses of the next two.
+        address: where it is.
+        bounds: the extents of the launch.
+        arguments: what the kernel gets.
+    """
+
+    function: Any
+    address: int
+    bounds: ctypes.Structure
+    arguments: ctypes.Structure
+
+    def run(self) -> None:
+        """Launch the kernel."""
+        self.function(ctypes.byref(self.bounds), ctypes.byref(self.arguments))
+
 
 # None for kernels whose arguments need Warp's own look at them.
 _calls: dict[wp.Kernel, _Call | None] = {}
@@ -52,13 +76,15 @@ class _Call:
             (one.type.dtype, one.type.ndim) if packed is ARRAY else (_is_struct(one.type), 0)
             for one, (_, packed) in zip(arguments, fields, strict=True)
         ]
-        self._bounds, self._axes = type(command.bounds), len(command.bounds.shape)
+        self._bounds: Any = type(command.bounds)
+        self._axes = len(command.bounds.shape)
         # The code, and the hashes that Warp looked at for it.
         self._module, self._code = command.kernel.module, command.module_exec
         self._hashes = self._module.hashers.get(BLOCK_THREADS)
         # One of its own, which holds the code: Warp's does not, and a recorded call may outlive the module's code.
         address = ctypes.cast(command.hooks.forward, ctypes.c_void_p).value
         assert address is not None
+        self._address = address
         self._function = FUNCTION(address)
         self._function.code = self._code  # type: ignore[attr-defined]  # any may be set
 
@@ -81,6 +107,18 @@ class _Call:
 
         It holds the code, and no array.
         """
+        packed = self._pack(dim, arguments)
+        return (
+            None if packed is None else partial(self._function, _kept_bounds(self._bounds, dim), ctypes.byref(packed))
+        )
+
+    def packed(self, dim: tuple[int, ...], arguments: Sequence[Any]) -> PackedCall | None:
+        """The same at known addresses."""
+        packed = self._pack(dim, arguments)
+        return None if packed is None else PackedCall(self._function, self._address, self._bounds(dim), packed)
+
+    def _pack(self, dim: tuple[int, ...], arguments: Sequence[Any]) -> ctypes.Structure | None:
+        """What the kernel gets; None where Warp has to look at the arguments."""
         size = 1
         for extent in dim:
             size *= extent
@@ -91,15 +129,22 @@ class _Call:
             if axes:
                 if type(value) is not wp.array or value.dtype is not kind or value.ndim != axes:
                     return None
-                values.append(value.__ctype__())
+                # Kept by the array from the first time on.
+                values.append(value.ctype or value.__ctype__())
             else:
                 values.append(value.__ctype__() if kind else value)
         try:
-            packed = self._packed(*values)
+            packed: ctypes.Structure = self._packed(*values)
         except TypeError:
             # A struct of another kind, or a number of another type: Warp converts it, or says what is wrong.
             return None
-        return partial(self._function, ctypes.byref(self._bounds(dim)), ctypes.byref(packed))
+        return packed
+
+
+@functools.lru_cache(maxsize=1024)
+def _kept_bounds(kind: Any, dim: tuple[int, ...]) -> Any:
+    """The extents of a launch for a call; kernels only read them."""
+    return ctypes.byref(kind(dim))
 
 
 def _is_struct(declared: Any) -> bool:
@@ -125,6 +170,12 @@ def prepared_call(kernel: wp.Kernel, dim: int | Sequence[int], arguments: Sequen
     if call is None or not call.is_current:
         return None
     return call.prepared((dim,) if isinstance(dim, (int, np.integer)) else tuple(dim), arguments)
+
+
+def packed_call(kernel: wp.Kernel, dim: int, arguments: Sequence[Any]) -> PackedCall | None:
+    """The same at known addresses; whoever keeps it has to keep the arrays."""
+    call = _calls.get(kernel)
+    return None if call is None or not call.is_current else call.packed((dim,), arguments)
 
 
 def know_call(kernel: wp.Kernel, command: wp.Launch) -> None:

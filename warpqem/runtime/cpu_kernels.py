@@ -58,6 +58,7 @@ ALWAYS = (
     "face_check",
     "attribute.width_8",
     "initial_members.width_8",
+    "native_program",
 )
 # What more the qualities take, measuring, and values on the surface.
 FAST = ("edge_cost",)

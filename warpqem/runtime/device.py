@@ -109,7 +109,8 @@ def _start_warp() -> None:
 
 def device_traits(device: str) -> DeviceTraits:
     """How launches work on a Warp device."""
-    _start_warp()
+    if not _started:
+        _start_warp()
     if device == "cpu" or wp.get_device(device).is_cpu:
         return _TRAITS["cpu"]
     traits = _TRAITS["cuda"]

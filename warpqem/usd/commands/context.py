@@ -37,7 +37,7 @@ class Context:
         options: What to do.
         folder: Where the output is going to be; None for a layer in memory.
         progress: Called with the fraction done and what is being done.
-        announce: Called with the plan of each mesh.
+        announce: Called with the plan of each mesh, before the work on it; None where nobody is.
         cleanup: Ends when all is saved.
     """
 
@@ -46,7 +46,7 @@ class Context:
     options: SimplifyOptions
     folder: Path | None
     progress: Progress
-    announce: Announce
+    announce: Announce | None
     cleanup: ExitStack
 
 

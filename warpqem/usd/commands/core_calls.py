@@ -15,6 +15,7 @@ from warpqem.costs.models import cost_model
 from warpqem.errors import OptionError, UnreachableTargetError
 from warpqem.frames.stream import LaterFrames, NoFrames
 from warpqem.mesh.mesh_input import is_proper
+from warpqem.pipeline.memory_plan import MemoryPlan
 from warpqem.pipeline.mirror import Mirror, find_mirror
 from warpqem.pipeline.symmetry import simplify_symmetric
 from warpqem.skinning.rest_pose_quadrics import UNUSED_OPTIONS
@@ -169,21 +170,37 @@ class CoreCalls:
         if mirror is not None:
             options |= {**self._importance(job), "seams": seams, "progress": progress}
             return simplify_symmetric(job.frames, job.faces, mirror, sink=sink, **options, **goal)
+        if shared is None and self._announce is None:
+            return self._simplify_planned(job, {**options, "seams": seams, "progress": progress, "sink": sink, **goal})
         plan = warpqem.plan(
             job.frames, job.faces, sink=sink, levels=shared is not None, measure=False, **options, **goal
         )
-        # The frames of the table are those of the animation.
-        plan = replace(plan, added_poses=job.pose_start)
-        self._reports[job.mesh.path].plan = plan.to_dict()
-        if shared is None or shared.order is None or not shared.announced:
+        plan = self._note_plan(job, plan)
+        if self._announce is not None and (shared is None or shared.order is None or not shared.announced):
             self._announce(job.mesh.path, plan)
         if shared is None:
-            # What is measured is what the file shows.
-            options |= {**self._importance(job), "seams": seams, "progress": progress, "measure": False}
-            return warpqem.simplify(job.frames, job.faces, sink=sink, **options, **goal)
+            return self._simplify_planned(job, {**options, "seams": seams, "progress": progress, "sink": sink, **goal})
         shared.announced = True
         placed = self._order(job, progress, seams, shared)
         return placed.level(int(goal["target_faces"] or 0), sink=sink, progress=progress)
+
+    def _simplify_planned(self, job: MeshJob, options: dict[str, Any]) -> warpqem.SimplifiedMesh:
+        """Simplify a mesh, and note the plan that this was done by."""
+        try:
+            # What is measured is what the file shows.
+            result = warpqem.simplify(job.frames, job.faces, measure=False, **options, **self._importance(job))
+        except UnreachableTargetError as error:
+            if error.result is not None:
+                self._note_plan(job, error.result.plan)
+            raise
+        self._note_plan(job, result.plan)
+        return result
+
+    def _note_plan(self, job: MeshJob, plan: MemoryPlan) -> MemoryPlan:
+        """The plan of a mesh as its report has it: the frames of the table are those of the animation."""
+        plan = replace(plan, added_poses=job.pose_start)
+        self._reports[job.mesh.path].plan = plan.to_dict()
+        return plan
 
     def _as_far_as_it_goes(
         self,

@@ -124,7 +124,7 @@ def simplify_stage(
             replace(options, flatten=flat),
             output.parent if isinstance(output, Path) else None,
             listen or (lambda fraction, text: None),
-            announce or (lambda name, plan: None),
+            announce,
             cleanup,
         )
         report, save = (_simplify_levels if options.lods else _simplify_once)(context, [*written, *other_outputs])

@@ -61,7 +61,7 @@ def simplify_runs(parent: Run, prim: Usd.Prim, progress: Progress, targets: Sequ
 def run_alone(parent: Run, shown: Usd.Prim, run: TopologyRun, cleanup: ExitStack, quiet: bool = False) -> Run:
     """A pass over the stage that shows one run of a mesh alone, with the options of another pass."""
     options = replace(parent.options, frames=_frames(parent.options, run), prims=(), bake_normals=None)
-    announce = (lambda name, plan: None) if quiet else parent.context.announce
+    announce = None if quiet else parent.context.announce
     context = replace(parent.context, stage=shown.GetStage(), options=options, cleanup=cleanup, announce=announce)
     alone = type(parent)(context)
     path = str(shown.GetPath())

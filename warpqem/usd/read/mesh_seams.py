@@ -81,7 +81,7 @@ class MeshSeams:
     def hold(self) -> Pairs:
         """The edges that are to stay closed polylines during simplification, int32, shape (S, 2)."""
         named = [pairs for name, pairs in self.by_name.items() if name not in self.dense]
-        return np.unique(np.concatenate([*named, self.borders]), axis=0)
+        return _distinct(np.concatenate([*named, self.borders]))
 
     def released(self, faces: npt.NDArray[np.int32], face_map: npt.NDArray[np.int32]) -> list[str]:
         """Released seams: what a simplified mesh no longer has of the seams, in words.
@@ -100,6 +100,11 @@ class MeshSeams:
             if after < before:
                 gone.append(f"{before - after} of {before} {kind}")
         return gone
+
+
+def _distinct(pairs: Pairs) -> Pairs:
+    """Each of some pairs (S, 2) once, ascending; most meshes have none, which NumPy takes long to see."""
+    return np.unique(pairs, axis=0).reshape(-1, 2) if len(pairs) else pairs.reshape(-1, 2)
 
 
 def _corner_count(pairs: Pairs) -> int:
@@ -139,7 +144,7 @@ class _InnerEdges:
 
     def where(self, chosen: npt.NDArray[np.bool_]) -> Pairs:
         """The ends of some edges, each edge once."""
-        return np.unique(self.ends[chosen], axis=0).reshape(-1, 2)
+        return _distinct(self.ends[chosen])
 
     def values_differ(self, values: npt.NDArray[Any], normals: bool) -> npt.NDArray[np.bool_]:
         """Where values at corners, (3N, ...), differ between the two faces at either end.
@@ -209,9 +214,9 @@ def find_seams(
         signs = _facets(source, edges, samples) if name in NORMALS else None
         if signs is not None and signs.any():
             seams.facets[name] = signs
-    seams.hard = np.unique(np.concatenate(hard), axis=0).astype(np.int32)
+    seams.hard = _distinct(np.concatenate(hard)).astype(np.int32)
     borders = [_subset_borders(source, edges), creases]
-    seams.borders = np.unique(np.concatenate(borders), axis=0).astype(np.int32)
+    seams.borders = _distinct(np.concatenate(borders)).astype(np.int32)
     return seams
 
 

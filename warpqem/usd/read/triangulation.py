@@ -60,6 +60,9 @@ def fan_triangulate(
         The corners of each triangle, counted over all polygons (int32, shape (N, 3)), and its polygon (int32,
         shape (N,)).
     """
+    if apexes is None and (counts == 3).all():
+        # As most meshes are.
+        return np.arange(3 * len(counts), dtype=np.int32).reshape(-1, 3), np.arange(len(counts), dtype=np.int32)
     triangles_per_polygon = np.maximum(counts.astype(np.int64) - 2, 0)
     polygons = np.repeat(np.arange(len(counts)), triangles_per_polygon)
     first_corner = np.cumsum(counts, dtype=np.int64) - counts

@@ -34,6 +34,8 @@ def weld(faces: npt.NDArray[np.int32], arrays: Iterable[npt.NDArray[Any]]) -> np
     vertex_count = int(faces.max()) + 1
     itself = np.arange(vertex_count, dtype=np.int32)
     alike = _alike(vertex_count, arrays)
+    if (alike == itself).all():
+        return itself
     corners = alike[faces]
     sliver = (corners == np.roll(corners, 1, axis=1)).any(axis=1)
     open_faces = faces[~sliver]
