@@ -9,7 +9,7 @@ import warp as wp
 
 import warpqem.runtime.device
 from tests.support import meshes
-from warpqem.measure.far_points import FacesAround, PointsAndFaces, furthest_from, longest_edges
+from warpqem.measure.far_points import FacesAround, PointLists, PointsAndFaces, furthest_from, longest_edges
 from warpqem.measure.surface_places import (
     SAMPLES,
     InputVertices,
@@ -105,7 +105,7 @@ def test_places_that_are_looked_at_together_are_as_far_as_each_alone(device):
 def test_distances_are_the_same_however_many_threads_have_the_frames_of_a_point(device, monkeypatch):
     *_, reference, test = blocks(np.random.default_rng(0), 21, device)
     around, vertex = FacesAround(FACES, VERTEX_COUNT), np.arange(5)
-    given = PointsAndFaces.at(reference, test, around, vertex, vertex, around, around)
+    given = PointsAndFaces(reference, test, around, PointLists.at(vertex, vertex), around, around)
     within = wp.full(len(vertex), 1e-6, dtype=wp.float32, device=device)
     name = "cpu" if wp.get_device(device).is_cpu else "cuda"
     found = []
@@ -123,7 +123,7 @@ def test_points_that_come_one_after_another_are_measured_as_at_once(device):
     around, vertex = FacesAround(FACES, VERTEX_COUNT), np.arange(VERTEX_COUNT)
     within = wp.full(VERTEX_COUNT, 1e-6, dtype=wp.float32, device=device)
     whole, *parts = (
-        PointsAndFaces.at(reference, test, around, some, some, around, around)
+        PointsAndFaces(reference, test, around, PointLists.at(some, some), around, around)
         for some in (vertex, vertex[:9], vertex[9:9], vertex[9:])
     )
     found = [furthest_from(given, within, device).numpy() for given in ([whole], parts)]
