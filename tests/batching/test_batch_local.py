@@ -166,8 +166,8 @@ def test_workers_know_how_many_share_their_device(workers, devices, sharing):
 
 def test_workers_that_share_a_device_share_its_memory(monkeypatch):
     monkeypatch.setattr(perform_job, "available_memory", lambda _: 1000)
-    own = replace(perform_job.device_traits("cpu"), own_memory=True)
-    for traits, sharing, expected in ((own, 4, 200), (own, 1, 800), (perform_job.device_traits("cpu"), 4, 800)):
+    own, host = (replace(perform_job.device_traits("cpu"), own_memory=own) for own in (True, False))
+    for traits, sharing, expected in ((own, 4, 200), (own, 1, 800), (host, 4, 800)):
         monkeypatch.setattr(perform_job, "device_traits", lambda _, traits=traits: traits)
         options = perform_job._with_defaults(SimplifyOptions(ratio=0.5), "cpu", 5000, sharing)
         assert options.memory == expected

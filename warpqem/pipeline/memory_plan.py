@@ -190,9 +190,9 @@ LEVEL_FACE = 120
 PLACE_FACE, PLACE_OUTPUT = 200, 2500
 # A device that the host would wait for has room for three rows of each face, of 20 bytes, in place of some 1.5.
 ROOM_FACE = 30
-# A frame of a block, on a device with memory of its own: two buffers of pinned memory and a second block of the device
-# for what is brought there; two buffers for what is brought back.
-STAGED_VERTEX, STAGED_OUTPUT = 3 * 12, 2 * 12
+# A frame of a block, on a device with memory of its own: three buffers of pinned memory and a second block on the
+# device for what is brought there; the same for what is brought back.
+STAGED_VERTEX, STAGED_OUTPUT = 4 * 12, 4 * 12
 # A frame of a block, for each output vertex: points and normals packed and not, as float64, as the caller's, and on
 # their way to the sink.
 FRAME_OUTPUT = 120

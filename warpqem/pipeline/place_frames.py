@@ -13,7 +13,7 @@ import warp as wp
 from warpqem.frames.device_frames import DeviceSink
 from warpqem.frames.stream import FrameSink, FrameWriter, read_ahead
 from warpqem.mesh.mesh_input import AnimatedMesh
-from warpqem.place.block_placer import PlacedBlocks
+from warpqem.place.block_placer import PlacedBlocks, PointsUnderWay
 from warpqem.place.frame_store import AnyFrameStore, DeviceFrameStore, FrameStore
 from warpqem.place.place import Placer
 from warpqem.refit.fit_surface import fit_corrections
@@ -24,8 +24,6 @@ from warpqem.runtime.staging import Downloads, work_copies
 __all__ = ["FinishedFrames", "Placing", "Settling", "place_frames", "place_refitted"]
 
 Progress = Callable[[int], None] | None
-# Gives points (n, C, 3) float32 and numbers of faces (n,) int32, where they are needed.
-Brought = Callable[[], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
@@ -90,13 +88,14 @@ class _Finish:
         self._mesh, self._placer, self._counts_flips = work.mesh, work.placer, counts_flips
         self._sink = work.sink
         self._there = work.sink if isinstance(work.sink, DeviceSink) else None
+        self._under_way: tuple[slice, PointsUnderWay] | None = None
         self._downloads = Downloads(work_copies(work.placer.device, len(work.blocks)))
         self._first = np.empty((1, 0, 3), dtype=np.float32)
         self._flips: list[np.ndarray] = []
         self._flips_there: list[wp.array] = []
         work.sink.begin(work.mesh.frame_count, work.placer.vertex_count, work.faces)
 
-    def take(self, frames: slice, placed: PlacedBlocks, write: FrameWriter[Brought]) -> None:
+    def take(self, frames: slice, placed: PlacedBlocks, write: FrameWriter[PointsUnderWay]) -> None:
         """Finish consecutive frames; they are brought to the host while the device works on the next ones."""
         if self._there is not None:
             placed.restored(self._mesh, self._there.room(frames))
@@ -104,11 +103,22 @@ class _Finish:
                 self._flips_there.append(self._placer.count_flips(placed))
             return
         flips = self._placer.count_flips(placed) if self._counts_flips else None
-        write(frames, placed.begin_download(self._mesh, flips, self._downloads))
+        begun = placed.begin_download(self._mesh, flips, self._downloads)
+        self.hand_on(write)
+        self._under_way = frames, begun
+        if self._downloads.at_once:
+            self.hand_on(write)
 
-    def written(self, frames: slice, brought: Brought) -> None:
+    def hand_on(self, write: FrameWriter[PointsUnderWay]) -> None:
+        """Have the frames that are under way written, if there are any; they are to be the last ones in the end."""
+        if self._under_way is not None:
+            (frames, begun), self._under_way = self._under_way, None
+            begun.download.wait()
+            write(frames, begun)
+
+    def written(self, frames: slice, brought: PointsUnderWay) -> None:
         """Hand consecutive frames to the sink, in their order."""
-        points, flips = brought()
+        points, flips = brought.result()
         if self._counts_flips:
             self._flips.append(flips)
         if frames.start == 0:
@@ -127,6 +137,7 @@ def place_frames(work: Placing) -> FinishedFrames:
     with FrameWriter(finish.written, len(work.blocks)) as write:
         for frames, placed in work.placed():
             finish.take(frames, placed, write)
+        finish.hand_on(write)
     return finish.finished()
 
 
@@ -164,6 +175,7 @@ def place_refitted(
                     if settling is not None:
                         moved = replace(moved, points=np.where(settling.held[:, None], kept.points, moved.points))
                     finish.take(frames, placer.to_blocks(work.mesh, moved), write)
+                finish.hand_on(write)
             if settling is None or settling.is_settled():
                 break
     return finish.finished()

@@ -7,7 +7,6 @@ so how they are cut into blocks makes no difference to a single bit.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,9 +20,9 @@ from warpqem.kernels.lanes import width_of
 from warpqem.mesh.mesh_input import AnimatedMesh
 from warpqem.runtime import new_arrays
 from warpqem.runtime.part_launches import FIRST_ITEM, PerPart, columns_of, launch_in_parts, rows_of
-from warpqem.runtime.staging import Downloads
+from warpqem.runtime.staging import Download, Downloads
 
-__all__ = ["BlockPlacer", "ClusterData", "PlacedBlocks", "PlacedFrames", "pack_block"]
+__all__ = ["BlockPlacer", "ClusterData", "PlacedBlocks", "PlacedFrames", "PointsUnderWay", "pack_block"]
 
 # Blocks of frames times clusters times stiffnesses that are measured at once. Each takes 20 bytes: 20 MB at most.
 MAX_MEASURED = 1 << 20
@@ -61,6 +60,24 @@ class PlacedFrames:
 
 
 @dataclass(frozen=True)
+class PointsUnderWay:
+    """Points of some frames, and a number for each, on their way to the host.
+
+    Attributes:
+        download: brings both.
+        shape: (n, C, 3), of the points.
+    """
+
+    download: Download
+    shape: tuple[int, int, int]
+
+    def result(self) -> tuple[np.ndarray, np.ndarray]:
+        """Points float32, and the numbers (n,) int32, once they are there; none where there are none."""
+        numbers, size = self.download.result(), math.prod(self.shape)
+        return numbers[:size].reshape(self.shape), numbers[size:].view(np.int32)
+
+
+@dataclass(frozen=True)
 class PlacedBlocks:
     """The same on the device.
 
@@ -83,13 +100,8 @@ class PlacedBlocks:
         found: np.ndarray = self.restored(mesh).numpy()
         return found
 
-    def begin_download(
-        self, mesh: AnimatedMesh, number: wp.array | None, downloads: Downloads
-    ) -> Callable[[], tuple[np.ndarray, np.ndarray]]:
-        """Begin to bring the same and ``number`` (n,) int32 of the device to the host, by one copy.
-
-        What gives both, where they are needed: none of the latter where there is none.
-        """
+    def begin_download(self, mesh: AnimatedMesh, number: wp.array | None, downloads: Downloads) -> PointsUnderWay:
+        """Begin to bring the same and ``number`` (n,) int32 of the device, if there is one, to the host by one copy."""
         shape = (len(self.source), len(self.points), 3)
         size = math.prod(shape)
         rows = new_arrays.empty(
@@ -98,13 +110,7 @@ class PlacedBlocks:
         self.restored(mesh, rows[:size].reshape(shape).view(wp.vec3))
         if number is not None:
             wp.copy(rows[size:].view(wp.int32), number)
-        download = downloads.begin(rows)
-
-        def brought() -> tuple[np.ndarray, np.ndarray]:
-            numbers = download.result()
-            return numbers[:size].reshape(shape), numbers[size:].view(np.int32)
-
-        return brought
+        return PointsUnderWay(downloads.begin(rows), shape)
 
     def restored(self, mesh: AnimatedMesh, out: wp.array | None = None) -> wp.array:
         """The same on the device, (n, C) points, in ``out`` if that is given."""

@@ -22,8 +22,11 @@ import warp as wp
 
 __all__ = ["CopyStream", "Download", "Downloads", "HostBuffer", "Staged", "Uploads", "copy_stream", "work_copies"]
 
-# Blocks under way: one that is filled, or written, while another one travels.
-BUFFERS = 2
+# Blocks under way: one that is filled, or written, while another one travels; and one more, so that the thread that has
+# the device's turn waits for copies, and not the one that reads or writes: another call may capture a graph meanwhile.
+BUFFERS = 3
+# Blocks on the device: one that is worked on while another one comes.
+BLOCKS_THERE = 2
 
 
 @dataclass(frozen=True)
@@ -68,7 +71,7 @@ class CopyStream(Protocol):
         ...
 
     def wait(self, copied: Any) -> None:
-        """Return when a copy is done; from any thread."""
+        """Return when a copy is done."""
         ...
 
 
@@ -148,8 +151,8 @@ class _Buffer:
         self._copied: list[Any] = []
 
     def room(self, size: int) -> HostBuffer:
-        """Room for so many numbers at least, when the copy is done."""
-        self.wait()
+        """Room for so many numbers at least; the copy is done."""
+        assert not self._copied, "a buffer is filled while it is copied"
         if self._memory is None or len(self._memory.numbers) < size:
             self._memory = self._stream.buffer(max(1, size))
         return self._memory
@@ -194,8 +197,9 @@ class Uploads:
         self._buffers = [_Buffer(self._stream) for _ in range(BUFFERS)]
         self._read = 0
         # Where blocks lie on the device that nobody keeps, and the work on each.
-        self._there: list[wp.array | None] = [None] * BUFFERS
-        self._worked: list[Any] = [None] * BUFFERS
+        self._there: list[wp.array | None] = [None] * BLOCKS_THERE
+        self._worked: list[Any] = [None] * BLOCKS_THERE
+        self._before: _Buffer | None = None
         self._sent = 0
 
     def staged(self, read: Callable[[slice], np.ndarray]) -> Callable[[slice], Staged]:
@@ -221,7 +225,7 @@ class Uploads:
 
     def sent(self, block: Staged) -> wp.array:
         """(n, V) points on the device, to be worked on until the next block is sent."""
-        slot = self._sent % BUFFERS
+        slot = self._sent % BLOCKS_THERE
         # Work on the block before was begun.
         self._worked[slot - 1] = self._stream.mark()
         self._sent += 1
@@ -240,6 +244,10 @@ class Uploads:
         # The same memory as numbers.
         numbers = wp.array(ptr=target.ptr, dtype=wp.float32, shape=(size,), device=target.device)
         self._stream.work_after(block.buffer.send(size, numbers, after))
+        # The block before has mostly arrived; the next but one takes its buffer.
+        if self._before is not None:
+            self._before.wait()
+        self._before = block.buffer
 
     def close(self) -> None:
         """Return when no buffer is read from any more."""
@@ -247,15 +255,16 @@ class Uploads:
             buffer.wait()
 
 
-@dataclass(frozen=True)
 class Download:
     """A block on its way to the host.
 
-    Attributes:
-        result: gives its numbers (n,) float32, once, which belong to the caller; from any thread.
+    Args:
+        wait: returns when it is there; to be called by the thread that has the device's turn.
+        result: gives its numbers (n,) float32 then, once, which belong to the caller; from any thread.
     """
 
-    result: Callable[[], np.ndarray]
+    def __init__(self, wait: Callable[[], None], result: Callable[[], np.ndarray]) -> None:
+        self.wait, self.result = wait, result
 
 
 class Downloads:
@@ -263,31 +272,34 @@ class Downloads:
 
     Args:
         stream: what copies.
+
+    Attributes:
+        at_once: blocks are there when they are begun.
     """
 
     def __init__(self, stream: CopyStream) -> None:
         self._stream = stream
         self._buffers = [_Buffer(stream) for _ in range(BUFFERS)]
         self._begun = 0
+        self.at_once = isinstance(stream, PlainCopies)
 
     def begin(self, numbers: wp.array) -> Download:
         """Begin to copy (n,) float32 of the device, as the work that was begun before leaves them.
 
-        The result of a block is to be taken before the next but one is begun.
+        The result of a block is to be taken before the third one after it is begun.
         """
-        if isinstance(self._stream, PlainCopies):
+        if self.at_once:
             found = numbers.numpy()
-            return Download(lambda: found)
+            return Download(lambda: None, lambda: found)
         size = len(numbers)
         room = self._buffers[self._begun % BUFFERS].room(size)
         self._begun += 1
         copied = self._stream.copy(room.array[:size], numbers, self._stream.mark())
         held = [numbers]
 
-        def result() -> np.ndarray:
+        def wait() -> None:
             self._stream.wait(copied)
             # Until now it was needed there.
             held.clear()
-            return room.numbers[:size].copy()
 
-        return Download(result)
+        return Download(wait, lambda: room.numbers[:size].copy())
