@@ -44,9 +44,18 @@ OUTPUT_SAMPLES = np.array(
 # Points on an edge of a border or seam. Output edges are long, and the line leaves them anywhere between their ends.
 INPUT_LINE_SAMPLES = 1
 OUTPUT_LINE_SAMPLES = 4
-# What a length of seam counts of what a border of that length does. The whole is 3 % more of the distance on characters
-# for 2 % less of the texture error.
-SEAM_SHARE = 0.3
+# What a length of seam counts of what a border of that length does, along the surface. The whole is 1 % more of the
+# distance on a character for 2 % less of the texture error.
+SEAM_SHARE = 0.6
+# Seams of more edges than this part of the output's faces count together as that many: of a mesh of islands of a few
+# faces each they would take the place of the surface.
+MAX_SEAMS = 0.35
+
+
+def seam_share(seam_edges: int, face_count: int) -> float:
+    """What a length of seam counts of what a border does on an output of so many edges of seams and faces."""
+    most = MAX_SEAMS * face_count
+    return SEAM_SHARE * (most / seam_edges if seam_edges > most else 1.0)
 
 
 def make_surface(
@@ -117,7 +126,7 @@ class Matching:
         on_device = [new_arrays.uploaded(half_edge, dtype=wp.int32, device=device) for half_edge in seams]
         self._lines = (
             (_border_half_edges(source, target), border_width),
-            (on_device, SEAM_SHARE * border_width),
+            (on_device, seam_share(len(seams[1]), len(out_faces)) * border_width),
         )
         self._sample_count = (len(faces) + len(vertex_map)) * turns
         # Two pairs at each point of a border or seam.
