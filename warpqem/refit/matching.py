@@ -44,8 +44,8 @@ OUTPUT_SAMPLES = np.array(
 # Points on an edge of a border or seam. Output edges are long, and the line leaves them anywhere between their ends.
 INPUT_LINE_SAMPLES = 1
 OUTPUT_LINE_SAMPLES = 4
-# What a length of seam counts of what a border of that length does, along the surface. The whole is 1 % more of the
-# distance on a character for 2 % less of the texture error.
+# What a length of seam counts of what a border of that length does, along the surface. With 0.8 a walking man has 2 %
+# more of the distance, and next to no less of the texture error.
 SEAM_SHARE = 0.6
 # Seams of more edges than this part of the output's faces count together as that many: of a mesh of islands of a few
 # faces each they would take the place of the surface.
