@@ -49,6 +49,8 @@ RING_SLOTS = wp.constant(wp.int32(16))
 # A collapse that changes how seams run counts as an error of this part of the edge's length, squared: costly enough
 # that seams stay as long as the shape has something to spare, and that the smallest go first.
 SEAM_COST = wp.constant(wp.float32(0.01))
+# One that takes the last face of an island, and so a part of the texture, likewise: four times as much.
+ISLAND_COST = wp.constant(wp.float32(0.04))
 
 
 @wp.struct
@@ -160,25 +162,54 @@ def merged_position(
 
 
 @wp.func
-def closes_island(state: MeshState, h: wp.int32) -> wp.bool:
-    """Whether both other edges of the face of half-edge ``h`` are seams: its island would go with the face."""
-    return state.seam[next_corner(h)] == 1 and state.seam[previous_corner(h)] == 1
+def opposite_half_edge(state: MeshState, h: wp.int32) -> wp.int32:
+    """The half-edge that runs the other way; -1 at a border."""
+    return find_half_edge(
+        state.corner_vertex, state.adjacency, half_edge_target(state.corner_vertex, h), state.corner_vertex[h]
+    )
 
 
 @wp.func
-def breaks_seams(state: MeshState, h: wp.int32) -> wp.bool:
-    """Whether the collapse of half-edge ``h`` changes how seams run.
+def ends_island(state: MeshState, h: wp.int32) -> wp.bool:
+    """Whether an island ends at half-edge ``h``: it is on a seam or a border."""
+    return state.seam[h] == 1 or opposite_half_edge(state, h) < 0
 
-    It joins two seams across the surface between them, or two corners of seams, or takes an island's last face.
+
+@wp.func
+def closes_island(state: MeshState, h: wp.int32) -> wp.bool:
+    """Whether nothing of its island lies beyond the two other edges of the face of half-edge ``h``."""
+    return ends_island(state, next_corner(h)) and ends_island(state, previous_corner(h))
+
+
+@wp.func
+def takes_island(state: MeshState, h: wp.int32) -> wp.bool:
+    """Whether the collapse of half-edge ``h`` takes the last faces of an island."""
+    closes = closes_island(state, h)
+    opposite = opposite_half_edge(state, h)
+    if opposite < 0:
+        return closes
+    beyond = closes_island(state, opposite)
+    # Off seams both faces are of one island.
+    return wp.where(state.seam[h] == 1, closes or beyond, closes and beyond)
+
+
+@wp.func
+def seam_cost(state: MeshState, h: wp.int32) -> wp.float32:
+    """What the collapse of half-edge ``h`` costs for how it changes seams, in parts of the edge's length, squared.
+
+    It joins two seams across the surface between them, or two corners of seams, or takes an island's last face; 0 for
+    one that does none of this.
     """
     u = state.corner_vertex[h]
     v = half_edge_target(state.corner_vertex, h)
     common = state.vertex_flags[u] & state.vertex_flags[v]
     if (common & SEAM) == 0:
-        return False
-    if (common & CORNER) != 0 or state.seam[h] == 0 or closes_island(state, h):
-        return True
-    return closes_island(state, find_half_edge(state.corner_vertex, state.adjacency, v, u))
+        return 0.0
+    if takes_island(state, h):
+        return ISLAND_COST
+    if (common & CORNER) != 0 or state.seam[h] == 0:
+        return SEAM_COST
+    return 0.0
 
 
 @wp.func
@@ -204,8 +235,7 @@ def compute_edge_cost(state: MeshState, frames: AnyKeyFrames, model: CostModel, 
             total += lane_sum(value_at_minimiser(q, anchored_minimiser(q, model.epsilon), model.epsilon))
         area += lane_sum(trace(q))
         spread += wp.dot(trace(q), lane_dot(d, d))
-    if breaks_seams(state, h):
-        total += SEAM_COST * spread
+    total += seam_cost(state, h) * spread
     result.error = total / wp.max(area, NO_PLANE)
     if result.error > model.error_limit:
         return result

@@ -17,7 +17,7 @@ from typing import Any
 
 import warp as wp
 
-from warpqem.kernels.edge_cost import INFINITE_COST, breaks_seams, compute_edge_cost, edge_anchor, merged_position
+from warpqem.kernels.edge_cost import INFINITE_COST, compute_edge_cost, edge_anchor, merged_position, seam_cost
 from warpqem.kernels.lanes import (
     POINTS_ARRAY,
     lane_cross,
@@ -288,7 +288,7 @@ def settle_collapse(
     u = state.corner_vertex[h]
     v = half_edge_target(state.corner_vertex, h)
     cost = state.edge_cost[h]
-    if legal and breaks_seams(state, h):
+    if legal and seam_cost(state, h) > 0.0:
         fresh = compute_edge_cost(state, frames, model, h)
         cost = fresh.cost
     if legal:

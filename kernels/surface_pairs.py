@@ -31,6 +31,10 @@ AHEAD = wp.constant(wp.float32(0.08))
 # for the middles: a triangle's quadrature that is exact for quadratic functions weighs them like this.
 VERTEX_SHARE = wp.constant(wp.float32(0.25))
 
+# What is across the surface counts so much at a seam of what is along it: the surfaces are paired there already, and a
+# seam's chord inside a bend draws its ends outwards. Without any, pictures lose 0.2 dB at outlines with seams on them.
+SEAM_LIFT = wp.constant(wp.float32(0.5))
+
 # How many samples of a frame ahead of its use each link of the chain is asked for.
 PAIRS_AHEAD = wp.constant(wp.int32(24))
 FACES_AHEAD = wp.constant(wp.int32(12))
@@ -302,6 +306,15 @@ def measure_vertex_distances(
 
 
 @wp.func
+def edge_normal(s: Surface, t: wp.int32, half_edge: wp.int32) -> wp.vec3:
+    """The mean of the normals of the faces at an edge, of length one; 0 where they have none."""
+    normal = wp.normalize(face_cross(s, t, half_edge / 3))
+    if s.opposite[half_edge] >= 0:
+        normal += wp.normalize(face_cross(s, t, s.opposite[half_edge] / 3))
+    return wp.normalize(normal)
+
+
+@wp.func
 def store_line_pair(
     pairs: Pairs,
     first: wp.int32,
@@ -311,11 +324,22 @@ def store_line_pair(
     along: wp.float32,
     offset: wp.vec3,
     weight: wp.float32,
+    on_seams: wp.int32,
 ):
-    """Two pairs at a point of an output edge of a border or seam: how far the input is ahead, both ways across it."""
+    """Two pairs at a point of an output edge of a border or seam: how far the input is ahead, both ways across it.
+
+    At a seam the first is along the surface, the other counts less.
+    """
     a = target.points[t, target.corner_vertex[half_edge]]
     b = target.points[t, half_edge_target(target.corner_vertex, half_edge)]
     across = first_tangent(wp.normalize(b - a))
+    second_weight = weight
+    if on_seams == 1:
+        second_weight = SEAM_LIFT * weight
+        aside = wp.cross(wp.normalize(b - a), edge_normal(target, t, half_edge))
+        # A sliver has no normal.
+        if wp.length_sq(aside) > 0.5:
+            across = aside
     barycentric = wp.vec3()
     barycentric[half_edge % 3] = 1.0 - along
     barycentric[(half_edge + 1) % 3] = along
@@ -329,7 +353,7 @@ def store_line_pair(
         pairs.barycentric[i] = barycentric
         pairs.normal[i] = n
         pairs.residual[i] = wp.dot(n, offset)
-        pairs.weight[i] = weight
+        pairs.weight[i] = wp.where(side == 1, second_weight, weight)
 
 
 @wp.kernel
@@ -382,6 +406,6 @@ def match_line_samples(
     offset = c + hit.along * (d - c) - x
     weight = width_in[width_index] * wp.length(b - a) / wp.float32(per_edge)
     if moving_is_output == 1:
-        store_line_pair(pairs, i, t, moving, h, along, offset, weight)
+        store_line_pair(pairs, i, t, moving, h, along, offset, weight, on_seams)
     else:
-        store_line_pair(pairs, i, t, fixed, hit.half_edge, hit.along, -offset, weight)
+        store_line_pair(pairs, i, t, fixed, hit.half_edge, hit.along, -offset, weight, on_seams)

@@ -9,7 +9,7 @@ from tests.support import meshes
 from tests.support.attribute_fit import fitting
 from warpqem.attribute_fit import texture
 from warpqem.attribute_fit.texture import fit_texture
-from warpqem.attribute_fit.turned_triangles import face_signs, turned_back
+from warpqem.attribute_fit.turned_triangles import areas_at, face_signs, signed_areas, turned_back
 
 
 @pytest.fixture(scope="module")
@@ -190,3 +190,9 @@ def test_forks_of_seams_move_along_their_lines_too():
     fork = np.unique(row[(places[row] == 0.5).all(axis=2)])
     assert len(fork) == 4
     assert (np.abs(found - start)[fork].max(axis=1) > 1e-4).all()
+
+
+def test_areas_by_rows_are_those_of_the_corners_to_the_last_bit():
+    rng = np.random.default_rng(3)
+    values, rows = rng.normal(size=(40, 2)), rng.integers(0, 40, (60, 3)).astype(np.int32)
+    np.testing.assert_array_equal(areas_at(values, rows), signed_areas(values[rows]))

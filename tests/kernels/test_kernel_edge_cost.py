@@ -298,6 +298,32 @@ def test_collapse_that_changes_how_seams_run_is_costly(pairs, corners, costly, d
     assert (costs_of(built, cost_model(), device)[edge] > 100 * free) == costly
 
 
+def edges_around(faces, chosen):
+    """Vertex pairs around some faces: the ends of edges that one of them alone has."""
+    edges = np.sort(np.stack([faces[chosen], np.roll(faces[chosen], -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
+    pairs, count = np.unique(edges, axis=0, return_counts=True)
+    return pairs[count == 1].tolist()
+
+
+@pytest.mark.parametrize("kind", ["triangle", "quadrilateral", "at the border"])
+def test_last_faces_of_an_island_cost_more_than_two_seams_that_are_joined(kind, device):
+    _, faces = meshes.grid(4, 4)
+    u, v = (1, 2) if kind == "at the border" else (6, 7)
+    inside = [f for f, face in enumerate(faces.tolist()) if {u, v} <= set(face)]
+    assert len(inside) == (1 if kind == "at the border" else 2)
+    island = inside[:1] if kind == "triangle" else inside
+    tail, head = faces.ravel().tolist(), np.roll(faces, -1, axis=1).ravel().tolist()
+    directed = set(zip(tail, head, strict=True))
+    seams = [(a, b) for a, b in edges_around(faces, island) if {(a, b), (b, a)} <= directed]
+    edge = half_edge_between(faces, *((u, v) if (u, v) in directed else (v, u)))
+    flat = meshes.grid(4, 4)[0]
+    taken = costs_of(with_seams(faces, seams, (), device), cost_model(), device)[edge]
+    two_lines = [(u, u + 5), (v, v + 5)]
+    joined = costs_of(with_seams(faces, two_lines, (), device), cost_model(), device)[edge]
+    free = costs_of(build_mesh(flat, faces, device), cost_model(), device)[edge]
+    assert taken - free == pytest.approx(4 * (joined - free), rel=1e-3)
+
+
 def test_corner_of_a_seam_is_the_anchor_against_the_rest_of_it(device):
     _, faces = meshes.grid(4, 4)
     built = with_seams(faces, [(6, 7), (7, 8)], (6,), device)

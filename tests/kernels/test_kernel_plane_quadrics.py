@@ -8,7 +8,7 @@ from tests.oracles import quadrics as oracle
 from tests.support import meshes
 from tests.support.mesh_state import blocks, build_mesh, listed_edges, packed
 from warpqem.decimation.adjacency import build_adjacency, classify_vertices
-from warpqem.decimation.initial_quadrics import initial_quadrics
+from warpqem.decimation.initial_quadrics import CONSTRAINT_WEIGHT, constraint_weights, initial_quadrics
 from warpqem.kernels.lanes import width_of
 from warpqem.kernels.plane_quadrics import weigh_face_normals
 
@@ -60,3 +60,9 @@ def test_quadric_scale_multiplies_the_vertex_quadric(device):
         for s in scales
     )
     np.testing.assert_array_equal(fourfold, 4 * once)
+
+
+def test_seams_of_many_small_islands_weigh_less_each():
+    few, many = constraint_weights(10, 1000), constraint_weights(600, 1000)
+    assert few == CONSTRAINT_WEIGHT
+    assert many == {1: CONSTRAINT_WEIGHT[1], 2: pytest.approx(CONSTRAINT_WEIGHT[2] / 4)}

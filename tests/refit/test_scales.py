@@ -8,7 +8,7 @@ import warp as wp
 
 from tests.support import meshes
 from warpqem.refit import scales
-from warpqem.refit.scales import FitSizes, Scales, frame_scale
+from warpqem.refit.scales import SEAM_SHARE, FitSizes, Scales, frame_scale, seam_share
 
 
 def sizes_of(given, faces, own_memory, device, monkeypatch) -> tuple[np.ndarray, int]:
@@ -17,7 +17,7 @@ def sizes_of(given, faces, own_memory, device, monkeypatch) -> tuple[np.ndarray,
     with monkeypatch.context() as patch:
         patch.setattr(scales, "device_traits", lambda _: replace(traits, own_memory=own_memory))
         corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device)
-        found = FitSizes.of(given, faces, corner_vertex, vertex_count=given.shape[1], turns=3)
+        found = FitSizes.of(given, faces, corner_vertex, vertex_count=given.shape[1], turns=3, seam_edges=5)
     return found.values.numpy(), int(found.has_area.numpy()[0])
 
 
@@ -55,3 +55,9 @@ def test_a_frame_half_as_large_counts_twice_and_one_that_collapses_no_more_than_
     frames = np.stack([points, 0.5 * points, 0.0 * points])
     np.testing.assert_allclose(frame_scale(frames), [1.0, 2.0, 10.0], rtol=1e-6)
     np.testing.assert_array_equal(frame_scale(0.0 * frames), np.ones(3))
+
+
+def test_seams_of_many_small_islands_count_less_each():
+    few, many = seam_share(10, 1000), seam_share(700, 1000)
+    assert few == SEAM_SHARE
+    assert many == pytest.approx(few / 2)

@@ -104,7 +104,11 @@ class PartnerSearch:
         self._place[self._used] = np.arange(len(self._used), dtype=np.int32)
         # A mended mesh has some faces the other way round, and so has the output.
         self._turned = np.zeros(len(faces), dtype=bool) if result.repair is None else result.repair.is_turned
-        corner = np.where(self._turned[:, None], cut.corner[:, ::-1], cut.corner)[self._used]
+        corner = cut.corner
+        if self._turned.any():
+            corner = np.where(self._turned[:, None], corner[:, ::-1], corner)
+        if len(self._used) < len(corner):
+            corner = corner[self._used]
         start = self._place[transfer.wedge_face][transfer.corner_wedge]
         with device_turn(device):
             corner_vertex = new_arrays.uploaded(corner.ravel(), dtype=wp.int32, device=device)

@@ -76,7 +76,9 @@ def corner_fits(misfit: Floats) -> Floats:
     return (misfit - OTHER / (OWN + 2 * OTHER) * mean) / (OWN - OTHER)
 
 
-def fit_values(partners: Partners, misfit: Floats, corner_row: Ints, free: npt.NDArray[np.bool_]) -> Floats:
+def fit_values(
+    partners: Partners, misfit: Floats, corner_row: Ints, free: npt.NDArray[np.bool_], steps: int = STEPS
+) -> Floats:
     """The change (R, C) of the values at the corners that fits all samples best.
 
     Args:
@@ -84,6 +86,7 @@ def fit_values(partners: Partners, misfit: Floats, corner_row: Ints, free: npt.N
         misfit: (N', 3, C), see :func:`misfits`.
         corner_row: (N', 3) int32, which of the R values each corner of the output has.
         free: (R,) bool, values that may change.
+        steps: of the iteration.
     """
     device, channels, row_count = partners.device, misfit.shape[2], len(free)
     with device_turn(device):
@@ -110,7 +113,7 @@ def fit_values(partners: Partners, misfit: Floats, corner_row: Ints, free: npt.N
             [residual, change, direction],
             device=device,
         )
-        for _ in range(STEPS):
+        for _ in range(steps):
             following_ratio = 1.0 / (2.0 * middle / half - ratio)
             turn, step = following_ratio * ratio, 2.0 * following_ratio / half
             launch_in_parts(

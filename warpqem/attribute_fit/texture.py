@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from warpqem.attribute_fit.solve import fit_values, misfits
-from warpqem.attribute_fit.turned_triangles import face_signs, turned_back
+from warpqem.attribute_fit.turned_triangles import areas_at, turned_back
 from warpqem.attribute_fit.values import ValueLayout, fit_smooth_values
 from warpqem.mesh.components import lowest_members
 from warpqem.mesh.directions import unit_vectors
@@ -30,6 +30,8 @@ MAX_SLIDE = 0.4
 # Into its island it goes no further than its distance from the line between them, out of it no further than this part
 # of that. Of a circle's chords the best fit lies a sixth of that further out.
 MAX_BEND_OUT = 0.25
+# Steps of the fit that says how far they would go: an error of a thousandth is less than what these bounds do.
+SLIDE_STEPS = 6
 # Values so near to the border of a tile are on it: means of values there are in single precision.
 ON_BORDER = 1e-6
 
@@ -96,7 +98,8 @@ def reference_signs(
         source_face: (N',) int32, the input's face that each face of the output goes on from.
         is_turned: (N,) bool, faces of the input that the output has the other way round.
     """
-    sign = np.where(is_turned, np.int8(-1), np.int8(1)) * face_signs(values[layout.corner_element])
+    sign = np.sign(areas_at(values, layout.corner_element)).astype(np.int8)
+    np.negative(sign, out=sign, where=is_turned)
     partner = layout.partners.face.numpy()
     most = np.sign(np.where(partner >= 0, sign[partner], 0).sum(axis=1))
     return np.where(most != 0, most, sign[source_face]).astype(np.int8)
@@ -105,6 +108,8 @@ def reference_signs(
 def _find_tiles(layout: ValueLayout, values: Floats, start: Floats) -> _Tiles:
     """The tiles of the start and of the input's faces at the samples of the faces that have a value."""
     lower, upper = np.floor(start + ON_BORDER), np.ceil(start - ON_BORDER)
+    if all(_is_within_one_tile(values[:, k], start[:, k]) for k in (0, 1)):
+        return _Tiles(lower, upper)
     partner, row = layout.partners.face.numpy(), layout.corner_row.ravel()
     first, second, third = (values[layout.corner_element[:, k]] for k in range(3))
     lowest = np.floor(np.minimum(np.minimum(first, second), third))
@@ -118,6 +123,12 @@ def _find_tiles(layout: ValueLayout, values: Floats, start: Floats) -> _Tiles:
         np.maximum.at(column[1], row, np.repeat(high.max(axis=1), 3))
         lower[:, k], upper[:, k] = column
     return _Tiles(lower, upper)
+
+
+def _is_within_one_tile(values: Floats, start: Floats) -> bool:
+    """Whether values (E,) and (R,) of one channel all are between the same two whole numbers, and on none of them."""
+    least, most = (float(pick([pick(values), pick(start)])) for pick in (np.min, np.max))
+    return bool(np.floor(least - ON_BORDER) == np.ceil(most + ON_BORDER) - 1)
 
 
 def _find_outline(faces: Ints, corner_row: Ints, row_count: int) -> _Outline:
@@ -146,7 +157,7 @@ def _slide(
     if not len(row):
         return start
     misfit = misfits(layout.partners, layout.corner_element, values, layout.corner_row, start)
-    change = fit_values(layout.partners, misfit, layout.corner_row, np.ones(len(start), dtype=bool))[row]
+    change = fit_values(layout.partners, misfit, layout.corner_row, np.ones(len(start), dtype=bool), SLIDE_STEPS)[row]
     back, forth = start[outline.before[row]] - start[row], start[outline.after[row]] - start[row]
     reach = [MAX_SLIDE * np.linalg.norm(to, axis=1) for to in (back, forth)]
     along = unit_vectors(forth - back)

@@ -33,6 +33,11 @@ class ConstrainedEdges:
         chosen = self.kind == kind
         return ConstrainedEdges(self.half_edge[chosen], self.kind[chosen], self.ends[chosen])
 
+    @property
+    def seam_count(self) -> int:
+        """Edges of seams, each of which has two half-edges."""
+        return int((self.kind == 2).sum()) // 2
+
     def renumbered(self, half_edge: np.ndarray, vertex: np.ndarray) -> ConstrainedEdges:
         """The same in a mesh with other numbers: ``half_edge`` (E,) of these and ``vertex`` (V,), in no order."""
         return ConstrainedEdges(half_edge, self.kind, vertex[self.ends])

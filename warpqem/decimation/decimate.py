@@ -19,7 +19,7 @@ from warpqem.decimation.collapse_nodes import NodeRecorder
 from warpqem.decimation.component_forest import ComponentForest
 from warpqem.decimation.constrained_edges import ConstrainedEdges, EdgeMarks
 from warpqem.decimation.deformation import build_deformation
-from warpqem.decimation.initial_quadrics import given_quadrics, initial_quadrics
+from warpqem.decimation.initial_quadrics import constraint_weights, given_quadrics, initial_quadrics
 from warpqem.decimation.left import Left
 from warpqem.decimation.native_loop import SmallOrderer
 from warpqem.decimation.ordering import Ordering
@@ -145,7 +145,8 @@ def order_collapses(
     arrangement = arrange(corner_vertex, mesh.key_position) if len(mesh.faces) >= ARRANGED_FACES else None
     state, frames, adjacency, kinds = _on_device(mesh, corner_vertex, arrangement, settings, device)
     edges, non_manifold = kinds.edges, kinds.non_manifold
-    steps = PassSteps(state, frames, adjacency, _cost_model(mesh, settings), device, settings.memoryless)
+    seam_weight = constraint_weights(edges.seam_count, len(mesh.faces))[2]
+    steps = PassSteps(state, frames, adjacency, _cost_model(mesh, settings), device, settings.memoryless, seam_weight)
     if gone is not None and arrangement is not None:
         gone = gone[arrangement.host_vertex]
     left = Left(steps, mesh.faces, corner_vertex, arrangement)

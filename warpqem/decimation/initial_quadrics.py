@@ -13,12 +13,22 @@ from warpqem.runtime import new_arrays
 from warpqem.runtime.launches import launch
 from warpqem.runtime.part_launches import corners_of, launch_in_parts, rows_of, starts_of
 
-__all__ = ["CONSTRAINT_WEIGHT", "given_quadrics", "initial_quadrics"]
+__all__ = ["CONSTRAINT_WEIGHT", "constraint_weights", "given_quadrics", "initial_quadrics"]
 
 # A border edge of length l counts as a square of area l^2 standing on it: as much as the faces beside it. A seam edge
 # counts a fifth: values that slide a little across the surface leave the shape as it is. The UV error of characters is
 # 5 % less than with a tenth, and their distance no more; a third costs 1 % of the distance for another 2 %.
 CONSTRAINT_WEIGHT = {1: 1.0, 2: 0.2}
+# Seams of more edges than this part of the faces count together as that many: with a whole fifth each, a lumberjack of
+# 71 islands, on whom they are 0.38 of the faces, is 0.3 dB further off in pictures for 2 % less error of its texture.
+# On other characters they are 0.03 to 0.24.
+MAX_SEAM_SHARE = 0.15
+
+
+def constraint_weights(seam_edges: int, face_count: int) -> dict[int, float]:
+    """What planes weigh along the borders (1) and the seams (2) of a mesh of so many faces and edges of seams."""
+    most = MAX_SEAM_SHARE * face_count
+    return {1: CONSTRAINT_WEIGHT[1], 2: CONSTRAINT_WEIGHT[2] * (most / seam_edges if seam_edges > most else 1.0)}
 
 
 def initial_quadrics(
@@ -56,7 +66,7 @@ def initial_quadrics(
         outputs=[rows_of(quadric)],
         device=device,
     )
-    for kind, weight in CONSTRAINT_WEIGHT.items():
+    for kind, weight in constraint_weights(edges.seam_count, face_count).items():
         chosen = edges.of_kind(kind)
         if not len(chosen.half_edge):
             continue

@@ -13,7 +13,7 @@ import warp as wp
 
 from warpqem.decimation.adjacency import build_adjacency
 from warpqem.decimation.decimate import DecimatedMesh
-from warpqem.decimation.initial_quadrics import CONSTRAINT_WEIGHT
+from warpqem.decimation.initial_quadrics import constraint_weights
 from warpqem.decimation.recorded_launches import LaunchGroup, part_work, record_shared, run_once
 from warpqem.kernels import memoryless_quadric as kernels
 from warpqem.kernels.lanes import width_of
@@ -78,7 +78,9 @@ class MemorylessQuadrics:
         state.seam = wp.array(image_marks(row[self._seams], corner_vertex.reshape(-1, 3), len(root)), device=device)
         frames.position, frames.quadric = position, quadric
         weights = kernels.LineWeights()
-        weights.border, weights.seam = CONSTRAINT_WEIGHT[1], CONSTRAINT_WEIGHT[2]
+        # Both half-edges of each.
+        of_kind = constraint_weights(len(self._seams) // 2, len(self._input_faces))
+        weights.border, weights.seam = of_kind[1], of_kind[2]
         chosen, one = wp.array(mask, device=device), new_arrays.uploaded([1], dtype=wp.int32, device=device)
         part_count = thread_count(str(device))
 

@@ -90,9 +90,11 @@ class PassSteps:
         model: CostModel,
         device: str,
         memoryless: bool = False,
+        seam_weight: float = CONSTRAINT_WEIGHT[2],
     ) -> None:
         self.state, self.frames, self.adjacency, self.model, self.device = state, frames, adjacency, model, device
         self._width, self._memoryless = width_of(frames.position), memoryless
+        self._seam_weight = seam_weight
         face_count = len(state.corner_vertex) // 3
         vertex_count = len(state.vertex_flags)
         self.flip_tolerance = int(FLIP_FRACTION * model.key_count)
@@ -320,7 +322,7 @@ class PassSteps:
     def _renewing_quadrics(self, cost_parts: int) -> list[LaunchGroup]:
         """Make the quadrics around what moved anew, and the costs of all edges there."""
         weights = memoryless_kernels.LineWeights()
-        weights.border, weights.seam = CONSTRAINT_WEIGHT[1], CONSTRAINT_WEIGHT[2]
+        weights.border, weights.seam = CONSTRAINT_WEIGHT[1], self._seam_weight
         around = [self.mask, self.pass_number]
 
         def renew(recorder: Recorder, part: int) -> None:

@@ -180,11 +180,13 @@ class _Refit:
         self._equations = self._make_equations()
         self._solver = ElementSolver(self._equations.elements)
         turns = max(1, min(len(key_frames), mesh.frame_count // FRAMES_PER_TURN))
-        self._sizes = FitSizes.of(keys.points, placer.faces, self._corner_vertex, self._vertex_count, turns)
         # Of a pruned component nothing is near to the output.
         is_left = placer.vertex_map[mesh.faces[:, 0]] >= 0
         faces = mesh.faces[is_left]
         seams = find_seams(placer.seam, mesh.faces, is_left, placer.vertex_map, self._faces, self._vertex_count)
+        self._sizes = FitSizes.of(
+            keys.points, placer.faces, self._corner_vertex, self._vertex_count, turns, len(seams[1].half_edge)
+        )
         corner_vertex = new_arrays.uploaded(faces.ravel(), dtype=wp.int32, device=device)
         reference = Reference.of(mesh, key_frames, device)
         source = make_surface(

@@ -17,7 +17,7 @@ import numpy as np
 from warpqem.arguments.array_input import as_numpy, is_empty
 from warpqem.arguments.number_input import shown
 from warpqem.arguments.progress import Progress
-from warpqem.decimation.initial_quadrics import CONSTRAINT_WEIGHT
+from warpqem.decimation.initial_quadrics import CONSTRAINT_WEIGHT, constraint_weights
 from warpqem.errors import MeshShapeError, OptionError
 from warpqem.mesh.edges import edge_table
 from warpqem.mesh.mesh_input import AnimatedMesh, is_proper, read_faces
@@ -122,7 +122,7 @@ def pulled_back_matrices(
     skin = skin.checked(matrices.shape[1])
     faces = faces[is_proper(faces)]
     edges = edge_table(faces)
-    line = _lines(edges.ends, edges.opposites, edges.face_count, seams)
+    line = _lines(edges.ends, edges.opposites, edges.face_count, seams, len(faces))
     total = np.zeros((len(skin.rest), 3, 3))
     for pose, transform in zip(poses, matrices, strict=True):
         point = pose.astype(np.float64)
@@ -133,7 +133,7 @@ def pulled_back_matrices(
 
 
 def _lines(
-    ends: np.ndarray, opposites: np.ndarray, face_count: np.ndarray, seams: Any
+    ends: np.ndarray, opposites: np.ndarray, face_count: np.ndarray, seams: Any, all_faces: int
 ) -> list[tuple[np.ndarray, float]]:
     """Border and seam edges with a third vertex of each face there, and the weight of their planes."""
     border = face_count == 1
@@ -141,7 +141,8 @@ def _lines(
     if seams is not None and not is_empty(seams):
         wanted = {tuple(sorted(pair)) for pair in as_numpy(seams, "seams").tolist()}
         on_seam = np.array([tuple(pair) in wanted for pair in ends.tolist()]) & (face_count == 2)
-        lines += [(np.column_stack([ends[on_seam], opposites[on_seam, k]]), CONSTRAINT_WEIGHT[2]) for k in range(2)]
+        weight = constraint_weights(int(on_seam.sum()), all_faces)[2]
+        lines += [(np.column_stack([ends[on_seam], opposites[on_seam, k]]), weight) for k in range(2)]
     return lines
 
 
