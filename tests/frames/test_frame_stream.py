@@ -15,8 +15,8 @@ from warpqem.errors import DegenerateMeshError, MemoryLimitError, MeshShapeError
 from warpqem.frames.blocks import BLOCK_BYTES, frame_blocks
 from warpqem.frames.stream import ArraySink, FrameWriter, NoFrames, read_ahead
 from warpqem.pipeline.key_frames import POSE_BYTES
-from warpqem.pipeline.memory_plan import format_bytes, parse_bytes
 from warpqem.runtime.device import device_traits
+from warpqem.runtime.memory import format_bytes, parse_bytes
 
 
 class CountedFrames:

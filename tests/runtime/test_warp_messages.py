@@ -42,7 +42,7 @@ def test_simplifying_prints_nothing():
 
 
 def test_asking_for_free_memory_prints_nothing():
-    code = "from warpqem.pipeline.memory_plan import available_memory\navailable_memory('cpu')"
+    code = "from warpqem.runtime.memory import available_memory\navailable_memory('cpu')"
     assert said(code) == ("", "")
 
 

@@ -29,10 +29,10 @@ from warpqem.batching.jobs import BatchJob
 from warpqem.batching.worker import WorkerSetup, run_worker
 from warpqem.errors import BatchError, OptionError
 from warpqem.files.temporary import note_folder, remove_leftovers, remove_path, temporary_path
-from warpqem.pipeline.memory_plan import DEFAULT_SHARE, available_memory, parse_bytes
 from warpqem.runtime.cpu_threads import thread_count
 from warpqem.runtime.device import resolve_device
 from warpqem.runtime.load_timeout import TIME_IS_UP
+from warpqem.runtime.memory import DEFAULT_SHARE, available_memory, parse_bytes
 from warpqem.runtime.process_limits import limit_behind_signal
 from warpqem.runtime.processes import note_process
 from warpqem.usd.checks.library import need_usd

@@ -14,8 +14,8 @@ from warpqem.batching.fingerprint import take_fingerprint
 from warpqem.batching.job_result import DONE, FAILED, PARTIAL, BatchResult, named
 from warpqem.batching.jobs import BatchJob
 from warpqem.errors import StageError, WarpqemError
-from warpqem.pipeline.memory_plan import DEFAULT_SHARE, available_memory
 from warpqem.runtime.device import device_traits, resolve_device
+from warpqem.runtime.memory import DEFAULT_SHARE, available_memory
 from warpqem.runtime.process_limits import with_limit
 from warpqem.runtime.process_memory import peak_memory, reset_peak
 from warpqem.usd.checks.input_check import open_layers

@@ -22,7 +22,7 @@ from warpqem.batching.job_result import FAILED, BatchResult
 from warpqem.batching.jobs import BatchJob
 from warpqem.errors import BatchError, OptionError, UsdLibraryError
 from warpqem.files.temporary import MARK_LENGTH, mark_temporary, remove_marked
-from warpqem.pipeline.memory_plan import parse_bytes
+from warpqem.runtime.memory import parse_bytes
 from warpqem.usd.checks.library import need_usd
 
 __all__ = ["RayEngine"]

@@ -76,8 +76,8 @@ def _serve(connection: Connection, sender: _Sender, setup: WorkerSetup) -> None:
     import warp as wp
 
     from warpqem.batching.perform_job import perform, warm_up
-    from warpqem.pipeline.memory_plan import parse_bytes
     from warpqem.runtime.device import share_memory
+    from warpqem.runtime.memory import parse_bytes
     from warpqem.runtime.process_memory import limited_memory
     from warpqem.usd.checks.usd_errors import UsdMessages
 

@@ -110,7 +110,7 @@ def _simplified(
         from warpqem.files.outputs import named_outputs
         from warpqem.gltf.inventory import is_animated_gltf
         from warpqem.mesh_files.file_names import is_mesh_name
-        from warpqem.pipeline.memory_plan import parse_bytes
+        from warpqem.runtime.memory import parse_bytes
         from warpqem.runtime.process_memory import limited_memory
         from warpqem.usd import simplify_stage
         from warpqem.usd.commands.option_values import read_options

@@ -16,12 +16,12 @@ from warpqem.arguments.progress import CancelToken, Progress, ProgressInput, lis
 from warpqem.costs.models import cost_model
 from warpqem.errors import CancelledError, MemoryLimitError, OptionError, WarpqemError
 from warpqem.options import MeshOptions, SimplifyKeywords, read_keywords
-from warpqem.pipeline.memory_plan import available_memory, parse_bytes
 from warpqem.pipeline.prepare import check_metric_options
 from warpqem.pipeline.result import SimplifiedMesh
 from warpqem.pipeline.simplify import simplify
 from warpqem.runtime.cpu_threads import thread_count
 from warpqem.runtime.device import device_traits, resolve_device
+from warpqem.runtime.memory import available_memory, parse_bytes
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack

@@ -8,42 +8,25 @@ checked against the memory that processes took (benchmarks/NOTES.md).
 
 from __future__ import annotations
 
-import functools
-import math
-import os
-import re
-import time
 from dataclasses import asdict, dataclass
-from pathlib import Path
-
-import warp as wp
 
 from warpqem.arguments.json_types import Json
-from warpqem.errors import MemoryLimitError, OptionError
+from warpqem.errors import MemoryLimitError
 from warpqem.frames.blocks import BLOCK_BYTES, block_width, chunk_frames
 from warpqem.kernels.lanes import WIDE
 from warpqem.pipeline.key_frames import MAX_LOOKED_FRAMES, pose_bytes
 from warpqem.refit.material_frames import FRAME_BYTES
-from warpqem.runtime.device import device_traits, resolve_device
+from warpqem.runtime.device import device_traits
+from warpqem.runtime.memory import default_limit, format_bytes, parse_bytes
 
 __all__ = [
     "KEPT_BYTES",
     "MemoryNeeds",
     "MemoryPlan",
     "admit_faces",
-    "available_memory",
-    "format_bytes",
-    "parse_bytes",
     "plan_memory",
     "stage_frames",
 ]
-
-UNITS = {"": 1, "K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40}
-# Without a limit this part of what is free is used: other programs need some, and the factors are not exact.
-DEFAULT_SHARE = 0.8
-# Seconds for which the system is not asked again what is free: that takes a hundredth of a small mesh's time, and a
-# call asks four times.
-READ_AGAIN = 0.1
 
 
 @dataclass(frozen=True)
@@ -229,7 +212,7 @@ def plan_memory(needs: MemoryNeeds, limit: int | str | None, device: str) -> Mem
         OptionError: the limit is no number of bytes.
         MemoryLimitError: no block fits, however small.
     """
-    limit = _default_limit(device) if limit is None else parse_bytes(limit)
+    limit = default_limit(device) if limit is None else parse_bytes(limit)
     held = _held(needs)
     order = _order(needs, device)
     fixed, per_frame = _place(needs, device)
@@ -283,7 +266,7 @@ def admit_faces(face_count: int, limit: int | str | None, device: str) -> None:
         OptionError: the limit is no number of bytes.
         MemoryLimitError: their copies alone take more.
     """
-    bytes_allowed = _default_limit(device) if limit is None else parse_bytes(limit)
+    bytes_allowed = default_limit(device) if limit is None else parse_bytes(limit)
     if bytes_allowed is not None and READ_FACE * face_count > bytes_allowed:
         raise MemoryLimitError(
             f"{face_count} faces need {format_bytes(READ_FACE * face_count)} of memory to be read, and "
@@ -375,72 +358,3 @@ def _refusal(needs: MemoryNeeds, stage: str, held: int, stage_bytes: int, limit:
         f"{format_bytes(held + stage_bytes)} of memory for {stage}, and {format_bytes(limit)} may be used; "
         f"what would help: {', '.join([*ways, 'more memory'])}"
     )
-
-
-def parse_bytes(value: int | str) -> int:
-    """Bytes from a number or text such as "8G", "500M" or "1.5 GiB" (powers of 1024).
-
-    Raises:
-        OptionError: it is no positive number of bytes.
-    """
-    found = re.fullmatch(r"\s*\+?(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?\s*", str(value), re.ASCII | re.IGNORECASE)
-    size = float(found[1]) * UNITS[found[2].upper()] if found else 0.0
-    count = int(size) if math.isfinite(size) else 0
-    if count < 1:
-        raise OptionError(f"memory {value!r}: expected bytes above 0, such as 8G or 500M")
-    return count
-
-
-def format_bytes(count: int) -> str:
-    """Bytes with a suffix, rounded up so that what is printed is enough when given back."""
-    for suffix, size in (("G", 2**30), ("M", 2**20)):
-        if count >= size:
-            tenths = -(-10 * count // size)
-            return f"{tenths / 10:.1f}{suffix}" if tenths < 100 else f"{-(-count // size)}{suffix}"
-    return f"{-(-count // 2**10)}K"
-
-
-def available_memory(device: str) -> int | None:
-    """Bytes that are free on the host, and on the device if it is another; None where the system does not say.
-
-    Those of the host are as they were up to ``READ_AGAIN`` seconds ago.
-    """
-    found = list(_host_free(int(time.monotonic() / READ_AGAIN)))
-    used = wp.get_device(resolve_device(device))
-    if used.is_cuda:
-        found.append(int(used.free_memory))
-    return min(found, default=None)
-
-
-@functools.lru_cache(maxsize=1)
-def _host_free(moment: int) -> tuple[int, ...]:
-    """What the system and the container say that is free at a moment, which small meshes share."""
-    return tuple(free for free in (_system_free(), _group_free()) if free is not None)
-
-
-def _default_limit(device: str) -> int | None:
-    free = available_memory(device)
-    return None if free is None else int(DEFAULT_SHARE * free)
-
-
-def _system_free() -> int | None:
-    try:
-        found = re.search(r"^MemAvailable:\s+(\d+) kB", Path("/proc/meminfo").read_text(encoding="ascii"), re.MULTILINE)
-    except OSError:
-        found = None
-    if found:
-        return 1024 * int(found[1])
-    names = getattr(os, "sysconf_names", {})
-    if "SC_PHYS_PAGES" in names:
-        # Free memory is unknown, as on macOS: half of all.
-        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2
-    return None
-
-
-def _group_free() -> int | None:
-    """What a container may still take (cgroup v2)."""
-    group = Path("/sys/fs/cgroup")
-    try:
-        return int((group / "memory.max").read_text()) - int((group / "memory.current").read_text())
-    except (OSError, ValueError):
-        return None

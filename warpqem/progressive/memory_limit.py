@@ -8,8 +8,8 @@ against its size. Files that are written here are long enough for that (:func:`m
 from __future__ import annotations
 
 from warpqem.errors import ProgressiveFileError
-from warpqem.pipeline.memory_plan import available_memory, format_bytes, parse_bytes
 from warpqem.progressive.header import FileInfo
+from warpqem.runtime.memory import available_memory, format_bytes, parse_bytes
 
 __all__ = ["check_memory", "min_file_bytes", "unpacked_bytes"]
 

@@ -14,10 +14,10 @@ from pxr import Sdf, Usd
 
 from warpqem.frames.blocks import frame_blocks
 from warpqem.frames.stream import ArrayFrames, FrameSource, JoinedFrames, KeptFrames, read_ahead
-from warpqem.pipeline.memory_plan import parse_bytes
 from warpqem.pipeline.result import SimplifiedMesh
 from warpqem.pipeline.surface_transfer import SurfaceTransfer
 from warpqem.repair.mended_mesh import MeshRepair, face_repair
+from warpqem.runtime.memory import parse_bytes
 from warpqem.usd.commands.rig_options import single
 from warpqem.usd.commands.simplify_options import SimplifyOptions
 from warpqem.usd.read.blend_shapes import choose_targets

@@ -353,7 +353,7 @@ class SimplifyOptions(RigOptions):
         if self.max_distance is not None:
             parse_length(self.max_distance, meters_per_unit=1.0)
         if self.memory is not None:
-            from warpqem.pipeline.memory_plan import parse_bytes
+            from warpqem.runtime.memory import parse_bytes
 
             parse_bytes(self.memory)
         check_lods(self.lods)

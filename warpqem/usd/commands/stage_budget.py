@@ -16,7 +16,7 @@ from pxr import Usd, UsdGeom
 
 from warpqem.errors import VaryingTopologyError
 from warpqem.frames.stream import held_bytes
-from warpqem.pipeline.memory_plan import parse_bytes
+from warpqem.runtime.memory import parse_bytes
 from warpqem.usd.commands.budget import CostCurve, split_budget
 from warpqem.usd.commands.context import Progress, SharedOrder
 from warpqem.usd.commands.option_checks import face_budget
