@@ -251,3 +251,21 @@ def test_samples_of_several_types_are_dropped(flat):
     (flat.folder / "damaged.usdc").write_bytes(data)
     report = simplify_stage(flat.folder / "damaged.usdc", flat.folder / "out.usda", SimplifyOptions(ratio=0.3))
     assert [prim.dropped for prim in report.prims] == [["velocities"]]
+
+
+@pytest.mark.parametrize("error", [TypeError, ValueError])
+@pytest.mark.parametrize("name", ["normals", "primvars:st"])
+def test_a_fault_in_a_fit_fails_the_mesh_and_drops_no_attribute(name, error, flat, monkeypatch):
+    def broken(*_):
+        raise error("broken")
+
+    if name == "normals":
+        flat.mesh.CreateNormalsAttr([(0.0, 0.0, 1.0)] * len(POINTS))
+    else:
+        flat.primvar("st", NAMES.TexCoord2fArray, "vertex").Set([(x, y) for x, y, _ in POINTS.tolist()])
+    flat.stage.Save()
+    monkeypatch.setattr("warpqem.usd.write.primvars.fit_transferred", broken)
+    given = SimplifyOptions(ratio=0.3, device="cpu", normals="fit")
+    [prim] = simplify_stage(flat.folder / "in.usda", flat.folder / "out.usda", given).prims
+    assert prim.status == "failed"
+    assert f"{error.__name__} in the fit of {name}: broken" in prim.message

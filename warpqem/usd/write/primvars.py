@@ -109,7 +109,7 @@ def _transfer_primvar(
         transferred = _transfer(original.GetAttr(), samples, rows, name == "normals")
     kind = kind_of_values(original)
     if kind is not None and (kind != "normals" or transfer.normals == "fit"):
-        transferred, corner_row = fit_transferred(
+        transferred, corner_row = _fitted(
             transfer, str(primvar.GetAttr().GetName()), kind, interpolation, samples, transferred, corner_row
         )
     transferred, corner_row = _with_facets(prim, transfer, primvar.GetAttr().GetName(), transferred, corner_row)
@@ -154,7 +154,7 @@ def transfer_normals(mesh: UsdGeom.Mesh, transfer: AttributeTransfer, dropped: D
     with _dropped_where_refused(attribute, f"normals ({interpolation})", dropped):
         transferred = _transfer(original, samples, rows, True)
         if transfer.normals == "fit" and interpolation != UsdGeom.Tokens.uniform:
-            transferred, corner_row = fit_transferred(
+            transferred, corner_row = _fitted(
                 transfer, "normals", "normals", interpolation, samples, transferred, corner_row
             )
         if corner_row is not None:
@@ -166,6 +166,19 @@ def transfer_normals(mesh: UsdGeom.Mesh, transfer: AttributeTransfer, dropped: D
         row = _row_of_corners(transfer, interpolation, corner_row)
         transferred = with_directions(mesh, transfer.faces, "normals", transferred, row, dropped)
         _write_values(attribute, transferred, saved)
+
+
+def _fitted(transfer: AttributeTransfer, name: str, *values: Any) -> tuple[Samples, npt.NDArray[np.int32] | None]:
+    """What :func:`fit_transferred` gives.
+
+    Raises:
+        RuntimeError: it fails: as the error it is it would pass for a value that USD does not take, and the attribute
+            would be dropped.
+    """
+    try:
+        return fit_transferred(transfer, name, *values)
+    except (TypeError, ValueError) as error:
+        raise RuntimeError(f"{type(error).__name__} in the fit of {name}: {error}") from error
 
 
 def _row_of_corners(
