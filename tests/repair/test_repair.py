@@ -13,6 +13,7 @@ from tests.support.moving_meshes import rms
 from warpqem.measure import topology
 from warpqem.progressive import load, save
 from warpqem.repair.mended_mesh import face_repair
+from warpqem.repair.mended_topology import repair_topology
 
 POINTS, FACES = meshes.swaying_sphere(3, 4)
 COUNT = len(FACES)
@@ -242,6 +243,19 @@ def test_one_sided_surface_is_as_good_as_one_that_was_cut(ratio, quality, device
     cut = np.where(last[:, None] & (faces < 16), faces + len(points), faces).astype(np.int32)
     expected = warpqem.simplify(apart, cut, ratio=ratio, quality=quality, device=device)
     assert rms((points, faces), result, device) <= 1.1 * rms((points, faces), expected, device)
+
+
+def test_each_one_sided_part_has_the_winding_that_changes_least():
+    # The first is wound at random, the second changes its winding at two edges.
+    scrambled, strip = meshes.moebius(60), meshes.moebius(60)
+    faces = scrambled[1].copy()
+    flipped = np.random.default_rng(2).random(len(faces)) < 0.5
+    faces[flipped] = faces[flipped, ::-1]
+    mesh = meshes.joined((scrambled[0], faces), strip, spacing=2.0)
+    alone = [repair_topology(part, len(strip[0]), "cpu") for part in (faces, strip[1])]
+    both = repair_topology(mesh[1], len(mesh[0]), "cpu")
+    assert both.findings.one_sided_edges == sum(one.findings.one_sided_edges for one in alone)
+    np.testing.assert_array_equal(both.turned[len(faces) :], alone[1].turned)
 
 
 def test_long_moebius_strip_is_held_where_its_winding_changes(device):

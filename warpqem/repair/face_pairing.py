@@ -141,11 +141,11 @@ def turned_faces(pairs: EdgePairs, single: np.ndarray) -> np.ndarray:
     part = label.min(axis=1) // 2
     one_sided = np.flatnonzero(label[:, 0] == label[:, 1])
     if len(one_sided):
-        # As they are, unless walks over them leave fewer pairs of unlike winding.
+        # Each part as it is, unless walks over it leave fewer pairs of unlike winding.
         walked = _spread_winding(one_sided, face, unlike == 1)
-        there = np.isin(face[:, 0], one_sided)
-        left = unlike[there] ^ walked[face[there, 0]] ^ walked[face[there, 1]]
-        turned[one_sided] = walked[one_sided] if left.sum() < unlike[there].sum() else False
+        left = unlike ^ walked[face[:, 0]] ^ walked[face[:, 1]]
+        gain = np.bincount(part[face[:, 0]], weights=unlike - left, minlength=count)
+        turned[one_sided] = walked[one_sided] & (gain > 0)[part[one_sided]]
     size = np.bincount(part[single], minlength=count)
     flipped = np.bincount(part[single & turned], minlength=count)
     turned ^= (2 * flipped > size)[part]
