@@ -13,7 +13,7 @@ from typing import Any
 import warp as wp
 
 from warpqem.runtime.compiling import compiling
-from warpqem.runtime.cpu_calls import know_call, prepared_call, prepared_copy, prepared_zero
+from warpqem.runtime.cpu_calls import PackedCall, know_call, packed_call, prepared_call, prepared_copy, prepared_zero
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.warp_messages import quiet_loading
 
@@ -125,6 +125,26 @@ def _cpu_call(
     know_call(kernel, command)
     recorded: Callable[[], object] = command.launch
     return recorded
+
+
+def packed_launch(kernel: wp.Kernel, dim: int, arguments: Sequence[Any]) -> PackedCall:
+    """What launches a kernel on a CPU, at known addresses.
+
+    Raises:
+        TypeError: there are no threads, or arguments that only Warp can look at.
+    """
+    load_kernel(kernel, "cpu")
+    call = packed_call(kernel, dim, arguments)
+    if call is None:
+        command = wp.launch(kernel, dim=dim, inputs=arguments, device="cpu", record_cmd=True)
+        if command is not None:
+            know_call(kernel, command)
+            call = packed_call(kernel, dim, arguments)
+    if call is None:
+        raise TypeError(
+            f"kernel {kernel.key} cannot be launched by {dim} threads, or takes arguments that only Warp can look at"
+        )
+    return call
 
 
 class Recorder:

@@ -15,8 +15,8 @@ import numpy as np
 import warp as wp
 
 from warpqem.kernels import native_program as kernels
-from warpqem.runtime.cpu_calls import PackedCall, know_call, packed_call
-from warpqem.runtime.launches import Recorder, load_kernel
+from warpqem.runtime.cpu_calls import PackedCall
+from warpqem.runtime.launches import Recorder, packed_launch
 
 __all__ = ["NativeRecorder"]
 
@@ -43,7 +43,7 @@ class NativeRecorder(Recorder):
     ) -> None:
         """Launch a kernel of one axis, with ``dim`` threads or as many as are ``counted``."""
         arguments = [*inputs, *outputs]
-        call = _packed(kernel, dim, arguments)
+        call = packed_launch(kernel, dim, arguments)
         addresses = call.address, ctypes.addressof(call.bounds), ctypes.addressof(call.arguments)
         self._note((kernels.LAUNCH, *addresses, _address(counted), 0), call, counted, *arguments)
 
@@ -88,7 +88,7 @@ class NativeRecorder(Recorder):
         """What runs the operations again and again as long as ``running`` (1,) int32 is not zero."""
         table = np.array(self._rows, dtype=np.int64)
         operations = wp.array(table, dtype=wp.int64, device="cpu", copy=False)
-        call = _packed(kernels.repeat_operations, 1, [operations, running])
+        call = packed_launch(kernels.repeat_operations, 1, [operations, running])
         return partial(_run_loop, call, [operations, running, *self._held])
 
     def _note(self, row: tuple[int, ...], *held: Any) -> None:
@@ -110,19 +110,3 @@ def _address(counted: wp.array | None) -> int:
         return 0
     assert counted.dtype is wp.int32
     return int(counted.ptr)
-
-
-def _packed(kernel: wp.Kernel, dim: int, arguments: Sequence[Any]) -> PackedCall:
-    """What launches a kernel, at known addresses."""
-    load_kernel(kernel, "cpu")
-    call = packed_call(kernel, dim, arguments)
-    if call is None:
-        command = wp.launch(kernel, dim=dim, inputs=arguments, device="cpu", record_cmd=True)
-        if command is not None:
-            know_call(kernel, command)
-            call = packed_call(kernel, dim, arguments)
-    if call is None:
-        raise TypeError(
-            f"kernel {kernel.key} cannot be launched by {dim} threads, or takes arguments that only Warp can look at"
-        )
-    return call
