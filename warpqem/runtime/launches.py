@@ -17,7 +17,7 @@ from warpqem.runtime.cpu_calls import PackedCall, know_call, packed_call, prepar
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.warp_messages import quiet_loading
 
-__all__ = ["Recorder", "compile_module", "launch", "load_kernel"]
+__all__ = ["Recorder", "compile_module", "launch", "load_kernel", "packed_launch"]
 
 # Modules by device that are compiled and loaded. Threads that came to a module at once would each compile it, and load
 # it under the same name.
