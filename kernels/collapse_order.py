@@ -10,6 +10,8 @@ LAST = wp.constant(wp.int64(2**63 - 1))
 LAST_ROUND = wp.constant(wp.int32(2**31 - 1))
 # The faces that go with a collapse, in the lower bits of one number with its round.
 FACE_BITS = wp.constant(wp.int32(8))
+# Numbers of four bytes that come to the host of each collapse.
+ROWS = wp.constant(wp.int32(7))
 
 
 @wp.kernel
@@ -71,7 +73,7 @@ def gather_log(
     if i >= count_in[0]:
         return
     slot = slot_in[i]
-    count = values_out.shape[0] / 7
+    count = values_out.shape[0] / ROWS
     values_out[i] = rows_in[0, slot]
     values_out[count + i] = rows_in[1, slot]
     values_out[2 * count + 2 * i] = rows_in[2, slot]
@@ -108,7 +110,7 @@ def link_collapses(
     i = wp.tid()
     if i >= count_in[0]:
         return
-    count = values_in.shape[0] / 7
+    count = values_in.shape[0] / ROWS
     kept = values_in[i]
     removed = values_in[count + i]
     if vertex_in.shape[0] > 0:

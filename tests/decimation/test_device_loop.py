@@ -11,10 +11,10 @@ import warpqem
 import warpqem.runtime.device
 from tests.support import cuda_semantics, meshes
 from tests.support.mesh_state import build_mesh, cost_model
-from warpqem.decimation import left
+from warpqem.decimation import order_readback
 from warpqem.decimation.adjacency import build_adjacency
 from warpqem.decimation.device_loop import DeviceOrderer
-from warpqem.decimation.left import SPARE_ROOM, Left
+from warpqem.decimation.order_readback import SPARE_ROOM, OrderReadback
 from warpqem.decimation.pass_steps import PassSteps
 from warpqem.decimation.passes import Orderer
 from warpqem.errors import UnreachableTargetError
@@ -187,7 +187,7 @@ def test_ordering_waits_for_the_device_once(monkeypatch):
         return reason
 
     reading = []
-    read = Left.read
+    read = OrderReadback.read
 
     def counted_read(self, *args):
         with cuda_semantics.counted() as counts:
@@ -196,7 +196,7 @@ def test_ordering_waits_for_the_device_once(monkeypatch):
         return found
 
     monkeypatch.setattr(DeviceOrderer, "run", counted)
-    monkeypatch.setattr(Left, "read", counted_read)
+    monkeypatch.setattr(OrderReadback, "read", counted_read)
     result = warpqem.simplify(*CLOSED, ratio=0.1, quality="fast", device="cpu")
     (counts,) = traffic
     assert counts.readbacks == 1
@@ -210,7 +210,7 @@ def test_ordering_waits_for_the_device_once(monkeypatch):
 @under_cuda_semantics
 def test_a_log_longer_than_was_expected_is_read_after_the_loop(monkeypatch):
     expected = warpqem.simplify(*CLOSED, ratio=0.3, device="cpu")
-    monkeypatch.setattr(left, "SPARE_ROOM", -50)
+    monkeypatch.setattr(order_readback, "SPARE_ROOM", -50)
     found = warpqem.simplify(*CLOSED, ratio=0.3, device="cpu")
     assert found.points.tobytes() == expected.points.tobytes()
     np.testing.assert_array_equal(found.faces, expected.faces)

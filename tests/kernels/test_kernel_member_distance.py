@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 import trimesh
@@ -80,6 +82,24 @@ def test_members_that_were_merged_before_count_too(device):
     expected = (area * expected_gap(points, faces, (u, v), target, members)).sum() / area.sum()
     assert checked.error == pytest.approx(expected, rel=1e-3)
     assert expected > 100 * CheckedCollapse(points, faces, (u, v), target, device).error
+
+
+@pytest.mark.parametrize("count", [3, 8, 9, 16, 21])
+def test_members_are_all_looked_at_however_many_there_are(count, device):
+    # Eight are looked at side by side.
+    points, faces = meshes.bumpy_sphere(2)
+    points = points.astype(np.float32)
+    u, v = faces[10, :2].tolist()
+    others = [int(m) for m in np.random.default_rng(count).permutation(len(points)) if m not in (u, v)][: count - 2]
+    of_u = [u, *others[: len(others) // 3]]
+    of_v = [v, *others[len(others) // 3 :]]
+    chains = [pair for members in (of_u, of_v) for pair in pairwise(members)]
+    target = 0.3 * points[u] + 0.7 * points[v]
+    checked = CheckedCollapse(points, faces, (u, v), target, device, chains=chains)
+    members = [*of_u, *of_v]
+    area = checked.area[members]
+    expected = (area * expected_gap(points, faces, (u, v), target, members)).sum() / area.sum()
+    assert checked.error == pytest.approx(expected, rel=1e-4)
 
 
 def test_collapse_that_is_costlier_by_distance_is_put_off_at_its_new_cost(device):

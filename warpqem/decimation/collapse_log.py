@@ -76,8 +76,7 @@ class CollapseRecord(ArrayRecord):
 # The arrays of a log in rows of four bytes each, so that one copy brings all of it to the host.
 _INTEGERS = ("kept", "removed", "left_opposite", "right_opposite", "faces_removed", "round_index")
 _NUMBERS = ("cost", "error")
-# Of numbers of four bytes that come to the host of each collapse.
-ROWS = 7
+ROWS = int(kernels.ROWS)
 
 
 def new_log(capacity: int, device: str) -> tuple[CollapseLog, wp.array]:

@@ -20,8 +20,8 @@ from warpqem.decimation.component_forest import ComponentForest
 from warpqem.decimation.constrained_edges import ConstrainedEdges, EdgeMarks
 from warpqem.decimation.deformation import build_deformation
 from warpqem.decimation.initial_quadrics import constraint_weights, given_quadrics, initial_quadrics
-from warpqem.decimation.left import Left
 from warpqem.decimation.native_loop import SmallOrderer
+from warpqem.decimation.order_readback import OrderReadback
 from warpqem.decimation.ordering import Ordering
 from warpqem.decimation.pass_steps import PassSteps
 from warpqem.decimation.pruning import Components, DropRecord
@@ -36,10 +36,10 @@ from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import launch
 from warpqem.runtime.readback import read_together
 
+__all__ = ["DecimatedMesh", "DecimationInput", "OrderSettings", "order_collapses"]
+
 # So many half-edges of borders and seams come to the host along with their number.
 FEW_EDGES = 128
-
-__all__ = ["DecimatedMesh", "DecimationInput", "OrderSettings", "order_collapses"]
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,7 @@ def order_collapses(
     steps = PassSteps(state, frames, adjacency, _cost_model(mesh, settings), device, settings.memoryless, seam_weight)
     if gone is not None and arrangement is not None:
         gone = gone[arrangement.host_vertex]
-    left = Left(steps, mesh.faces, corner_vertex, arrangement)
+    left = OrderReadback(steps, mesh.faces, corner_vertex, arrangement)
     orderer = _new_ordering(steps)
     if math.isinf(settings.error_limit) and math.isinf(settings.size_limit) and kinds.forest is None:
         orderer.along = partial(left.ahead, settings.target_faces, len(edges.half_edge))

@@ -18,13 +18,13 @@ from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import launch
 from warpqem.runtime.readback import read_together
 
-__all__ = ["Left"]
+__all__ = ["OrderReadback"]
 
 # Faces that are left beyond those asked for: room for them costs nothing.
 SPARE_ROOM = 16
 
 
-class Left:
+class OrderReadback:
     """The collapses of an ordering and the faces that they leave.
 
     Args:
