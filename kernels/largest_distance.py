@@ -2,9 +2,11 @@
 
 Frames are cells of one mesh, as in :mod:`warpqem.kernels.surface_distance`. The distance to one face is convex, so over
 a piece of a triangle it is at most the largest at the piece's corners. The search is done with a piece where one face
-shows that the piece holds nothing larger than what was found, and cuts the other pieces where the face nearest to their
-middle ends. Pieces stay good pieces while the mesh moves: those of the frames before, the patches, are what the search
-starts from in the next ones, and most of them need none there, as :mod:`warpqem.kernels.distance_screen` shows.
+shows that the piece holds nothing larger than what was found, and cuts the other pieces where a face near to their
+middle ends, or where another one becomes the nearer one. That face is walked to from a neighbouring piece's; the whole
+mesh is searched only where a point may be beyond what was found. Pieces stay good pieces while the mesh moves: those of
+the frames before, the patches, are what the search starts from in the next ones, and most of them need none there, as
+:mod:`warpqem.kernels.distance_screen` shows.
 """
 
 import warp as wp
@@ -13,21 +15,25 @@ from warpqem.kernels.near_faces import (
     ANYWHERE,
     HINTS,
     Faces,
+    NearFace,
     Surface,
     corner_point,
     covers,
     exactly_nearest,
+    face_towards,
     nearer_face,
     squared_distance,
+    with_face,
     with_first,
 )
-from warpqem.kernels.piece_cuts import Corners, Cut, Places, cut_in_half, cut_over_edge, cut_part
+from warpqem.kernels.piece_cuts import Corners, Cut, Places, cut_at_zero, cut_in_half, cut_over_edge, cut_part
 
 # No gradients are taken. Loops stay loops: unrolled, they take several times as long to compile and run no faster.
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-# What was found is within this part of the largest distance there is.
-TOLERANCE = wp.constant(wp.float64(1.0e-3))
+# What was found is within this part of the largest distance there is: a thousandth, less what single precision adds to
+# the distances of samples.
+TOLERANCE = wp.constant(wp.float64(0.95e-3))
 # Distances of a mesh of unit diagonal that are only rounding: a few times ON_PLANE, up to which pieces reach over an
 # edge.
 ROUNDING = wp.constant(wp.float64(3.0e-13))
@@ -36,8 +42,11 @@ MAX_PIECES = wp.constant(wp.int32(4096))
 MAX_WAITING = wp.constant(wp.int32(40))
 # Where so many pieces of a patch were looked at, the search for near faces is the trouble: it takes, in single
 # precision, the wrong one of two faces on whose edge a thin piece lies, and no cut over the wrong one's edges helps.
-MANY_PIECES = wp.constant(wp.int32(8))
+MANY_PIECES = wp.constant(wp.int32(256))
+# Faces are as near as each other where their distances differ by less: the cut between them is through a corner.
+AS_NEAR = wp.constant(wp.float64(1.0e-9))
 Waiting = wp.types.matrix(shape=(int(MAX_WAITING), 6), dtype=wp.float64)
+WaitingFaces = wp.types.vector(length=int(MAX_WAITING), dtype=wp.int32)
 # Patches that a thread takes one after the other: the next one mostly lies beside the one before, over the same face.
 RUN = wp.constant(wp.int32(16))
 
@@ -78,29 +87,18 @@ class Found:
 class Look:
     """What a look at a piece finds."""
 
-    near: wp.int32  # the face nearest to its middle, -1 where there is none
+    near: wp.int32  # a face near to its middle, the nearest one where that is beyond what was found; -1 for none
+    away: wp.vec3d  # the distances of its corners from that face: no point of the piece is further
+    rival: wp.int32  # a face nearer to the corner that is furthest from the other one, or that one
     low: wp.float64  # the largest distance found so far, there and before
-    bound: wp.float64  # no point of the piece is further than that
 
 
-@wp.func
-def near_face(other: Surface, hints: Faces, first: wp.int32, p: wp.vec3d, exact: wp.bool) -> wp.int32:
-    """The face nearest to a point; ``hints`` bound the search. -1 where there are neither hints nor faces.
+@wp.struct
+class Division:
+    """How a piece is cut, and which face is near beyond the cut."""
 
-    Of faces that single precision does not tell apart it is any, unless it is to be ``exact``.
-    """
-    best = wp.int32(-1)
-    best_squared = ANYWHERE * ANYWHERE
-    for k in range(HINTS):
-        if hints[k] >= 0:
-            squared = squared_distance(other, first + hints[k], p)
-            if squared < best_squared:
-                best = first + hints[k]
-                best_squared = squared
-    best = nearer_face(other, best, best_squared, p)
-    if exact and best >= 0:
-        best = exactly_nearest(other, best, squared_distance(other, best, p), p)
-    return best
+    cut: Cut
+    beyond: wp.int32
 
 
 @wp.func
@@ -125,12 +123,27 @@ def corner_distances(other: Surface, face: wp.int32, corners: Corners) -> wp.vec
 
 
 @wp.func
-def cut_piece(other: Surface, face: wp.int32, corners: Corners) -> Cut:
-    """The cut at the plane over that edge of a face beyond which the piece reaches furthest; else in half."""
-    cut = cut_over_edge(other, face, corners)
-    if not cut.in_three:
-        cut = cut_in_half(corners)
-    return cut
+def divide_piece(other: Surface, look: Look, corners: Corners) -> Division:
+    """The cut where the rival of the near face becomes the nearer one; without, at the plane over that edge of the near
+    face beyond which the piece reaches furthest; else in half.
+    """
+    division = Division()
+    division.beyond = look.near
+    division.cut.in_three = wp.bool(False)
+    if look.rival != look.near:
+        side = look.away - corner_distances(other, look.rival, corners)
+        if wp.max(side) > AS_NEAR and wp.min(side) < -AS_NEAR:
+            division.cut = cut_at_zero(side)
+            division.beyond = look.rival
+            return division
+    division.cut = cut_over_edge(other, look.near, corners)
+    if division.cut.in_three:
+        across = other.across[3 * look.near + division.cut.edge]
+        if across >= 0:
+            division.beyond = across
+        return division
+    division.cut = cut_in_half(corners)
+    return division
 
 
 @wp.func
@@ -145,29 +158,67 @@ def covering_hint(other: Surface, hints: Faces, first: wp.int32, corners: Corner
 
 
 @wp.func
-def look_at_piece(
-    other: Surface, hints: Faces, first: wp.int32, corners: Corners, low: wp.float64, exact: wp.bool
-) -> Look:
-    """The face nearest to the middle of a piece, and what it says; ``low`` is the largest distance found before."""
+def upper_limit(low: wp.float64) -> wp.float64:
+    """What may be left open above the largest distance found."""
+    return low * (wp.float64(1.0) + TOLERANCE) + ROUNDING
+
+
+@wp.func
+def face_from(other: Surface, start: wp.int32, p: wp.vec3d, low: wp.float64, exact: wp.bool) -> NearFace:
+    """A face near to a point by a walk from one, -1 for none: the nearest one where that is further than ``low``.
+
+    Also where it is to be ``exact``, it is the nearest one in double precision. -1 where the search finds none.
+    """
+    found = NearFace()
+    found.face = start
+    found.squared = ANYWHERE * ANYWHERE
+    if start >= 0:
+        found = face_towards(other, start, p)
+        found.squared = squared_distance(other, found.face, p)
+    if exact or found.squared > low * low:
+        found.face = nearer_face(other, found.face, found.squared, p)
+        if found.face >= 0:
+            found.squared = squared_distance(other, found.face, p)
+            if exact or found.squared > low * low:
+                found.face = exactly_nearest(other, found.face, found.squared, p)
+                found.squared = squared_distance(other, found.face, p)
+    return found
+
+
+@wp.func
+def look_at_piece(other: Surface, start: wp.int32, corners: Corners, low: wp.float64, exact: wp.bool) -> Look:
+    """A face near to the middle of a piece, and what it says; ``low`` is the largest distance found before."""
     look = Look()
     look.low = low
     centre = (corners[0] + corners[1] + corners[2]) / wp.float64(3.0)
-    look.near = near_face(other, hints, first, centre, exact)
-    if look.near >= 0:
-        look.low = wp.max(low, wp.sqrt(squared_distance(other, look.near, centre)))
+    near = face_from(other, start, centre, low, exact)
+    look.near = near.face
+    look.rival = near.face
+    if near.face >= 0:
+        look.low = wp.max(low, wp.sqrt(near.squared))
         size = wp.float64(0.0)
         for k in range(3):
             size = wp.max(size, wp.length(corners[k] - centre))
-        away = corner_distances(other, look.near, corners)
-        look.bound = wp.max(away)
-        if look.bound > look.low + ROUNDING and size <= look.low:
+        look.away = corner_distances(other, near.face, corners)
+        bound = wp.max(look.away)
+        if bound > look.low + ROUNDING and bound <= upper_limit(look.low):
+            # Within the tolerance, as far as this face says; the nearest one may say that it is no more than was found.
+            near = face_from(other, near.face, centre, look.low, wp.bool(True))
+            look.near = near.face
+            look.rival = near.face
+            look.away = corner_distances(other, near.face, corners)
+        if wp.max(look.away) > look.low + ROUNDING and size <= look.low:
             # What is furthest is most often a corner. Those of large pieces are corners of small ones.
+            furthest = wp.float64(0.0)
             for k in range(3):
                 # No other face makes it further away than this one.
-                if away[k] > look.low:
-                    at_corner = near_face(other, hints, first, corners[k], exact)
-                    if at_corner >= 0:
-                        look.low = wp.max(look.low, wp.sqrt(squared_distance(other, at_corner, corners[k])))
+                if look.away[k] > look.low:
+                    at_corner = face_from(other, near.face, corners[k], look.low, exact)
+                    if at_corner.face >= 0:
+                        look.low = wp.max(look.low, wp.sqrt(at_corner.squared))
+                        if look.away[k] > furthest:
+                            furthest = look.away[k]
+                            look.rival = at_corner.face
     return look
 
 
@@ -210,8 +261,10 @@ def search_patch(
     found.low = low
     found.hints = hints
     waiting = Waiting()
+    start = WaitingFaces()
     for k in range(6):
         waiting[0, k] = items.place[item, k]
+    start[0] = wp.int32(-1)
     count = wp.int32(1)
     looked_at = wp.int32(0)
     while count > 0:
@@ -225,29 +278,41 @@ def search_patch(
             waiting[count, 5],
         )
         corners = place_corners(own, face, places)
-        hint = covering_hint(other, found.hints, first, corners, found.low + ROUNDING)
-        done = hint >= 0
-        if done:
-            found.hints = with_first(found.hints, found.hints[hint], hint)
+        limit = found.low + ROUNDING
+        done = wp.bool(False)
+        if start[count] >= 0:
+            done = covers(other, start[count], corners[0], corners[1], corners[2], limit)
+            if done:
+                found.hints = with_face(found.hints, start[count] - first)
         else:
-            look = look_at_piece(other, found.hints, first, corners, found.low, looked_at >= MANY_PIECES)
+            hint = covering_hint(other, found.hints, first, corners, limit)
+            done = hint >= 0
+            if done:
+                found.hints = with_first(found.hints, found.hints[hint], hint)
+        if not done:
+            begin = start[count]
+            if begin < 0 and found.hints[0] >= 0:
+                # The piece before lies beside it.
+                begin = first + found.hints[0]
+            look = look_at_piece(other, begin, corners, found.low, looked_at >= MANY_PIECES)
             found.low = look.low
             looked_at += 1
+            bound = wp.max(look.away)
             if look.near < 0:
                 done = wp.bool(True)
-            elif look.bound <= found.low * (wp.float64(1.0) + TOLERANCE) + ROUNDING or (
-                looked_at >= MAX_PIECES or count + 3 > MAX_WAITING
-            ):
+            elif bound <= upper_limit(found.low) or looked_at >= MAX_PIECES or count + 3 > MAX_WAITING:
                 done = wp.bool(True)
                 found.hints = with_first(found.hints, look.near - first, HINTS - 1)
-                if look.bound > found.low + ROUNDING:
-                    found.high = wp.max(found.high, look.bound)
+                if bound > found.low + ROUNDING:
+                    found.high = wp.max(found.high, bound)
             else:
-                cut = cut_piece(other, look.near, corners)
+                division = divide_piece(other, look, corners)
+                cut = division.cut
                 for index in range(3):
                     piece = cut_part(places, cut, index)
                     for k in range(6):
                         waiting[count + index, k] = piece[k // 2, k % 2]
+                    start[count + index] = wp.where((index == 0) == cut.is_beyond, division.beyond, look.near)
                 # In half, there is no third.
                 count += wp.where(cut.in_three, 3, 2)
         if done:

@@ -22,7 +22,24 @@ class Cut:
     before: wp.float64  # how far along the edge to the previous corner
     in_three: wp.bool  # else in half, through the corner before
     edge: wp.int32  # of the face, where the cut is over one
-    is_beyond: wp.bool  # whether the corner is beyond that edge, and the rest before it, or the other way round
+    is_beyond: wp.bool  # whether the corner is beyond the cut, and the rest before it, or the other way round
+
+
+@wp.func
+def cut_at_zero(side: wp.vec3d) -> Cut:
+    """The cut where a number is 0 that is linear between the corners, and not of one sign."""
+    cut = Cut()
+    cut.in_three = wp.bool(True)
+    # The corner alone on its side.
+    for k in range(3):
+        own_side = side[k] > wp.float64(0.0)
+        if own_side != (side[(k + 1) % 3] > wp.float64(0.0)) and own_side != (side[(k + 2) % 3] > wp.float64(0.0)):
+            cut.corner = k
+    own = side[cut.corner]
+    cut.is_beyond = own > wp.float64(0.0)
+    cut.after = own / (own - side[(cut.corner + 1) % 3])
+    cut.before = own / (own - side[(cut.corner + 2) % 3])
+    return cut
 
 
 @wp.func
@@ -42,19 +59,8 @@ def cut_over_edge(other: Surface, face: wp.int32, corners: Corners) -> Cut:
         most = wp.max(side[0], wp.max(side[1], side[2]))
         if most > furthest and wp.min(side[0], wp.min(side[1], side[2])) < -ON_PLANE:
             furthest = most
-            cut.in_three = wp.bool(True)
-            # The corner alone on its side.
-            for k in range(3):
-                own_side = side[k] > wp.float64(0.0)
-                if own_side != (side[(k + 1) % 3] > wp.float64(0.0)) and own_side != (
-                    side[(k + 2) % 3] > wp.float64(0.0)
-                ):
-                    cut.corner = k
-            own = side[cut.corner]
+            cut = cut_at_zero(side)
             cut.edge = edge
-            cut.is_beyond = own > wp.float64(0.0)
-            cut.after = own / (own - side[(cut.corner + 1) % 3])
-            cut.before = own / (own - side[(cut.corner + 2) % 3])
     return cut
 
 

@@ -11,21 +11,9 @@ import warp as wp
 from warpqem.kernels.near_faces import HINTS, Surface
 from warpqem.measure.piece_proof import PieceArrays
 from warpqem.measure.unit_frames import UnitBlock
-from warpqem.mesh.edges import edge_key
+from warpqem.mesh.edges import faces_across
 
-__all__ = ["BoundSide", "faces_across"]
-
-
-def faces_across(faces: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
-    """(3N,) int32, for the edge from each corner to the next the face beyond it, of several one; -1 at a border."""
-    tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
-    key = edge_key(tail, head, int(faces.max(initial=0)) + 1)
-    order = np.argsort(key, kind="stable")
-    same = key[order][1:] == key[order][:-1]
-    across = np.full(len(key), -1, dtype=np.int32)
-    across[order[:-1][same]] = order[1:][same] // 3
-    across[order[1:][same]] = order[:-1][same] // 3
-    return across
+__all__ = ["BoundSide"]
 
 
 class BoundSide:

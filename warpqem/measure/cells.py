@@ -11,6 +11,7 @@ import warp as wp
 from warpqem.kernels import surface_distance as kernels
 from warpqem.kernels.near_faces import Surface
 from warpqem.measure.winding import Winding, read_winding
+from warpqem.mesh.edges import faces_across
 from warpqem.runtime import new_arrays
 from warpqem.runtime.launches import launch
 
@@ -51,6 +52,10 @@ class Cells:
         corners = (self.faces.ravel() + first_point[:, None]).ravel()
         self.surface = Surface()
         self.surface.corner_vertex = new_arrays.uploaded(corners, dtype=wp.int32, device=device)
+        across = faces_across(self.faces)
+        first_face = np.int32(self.face_count) * np.arange(group, dtype=np.int32)[:, None]
+        across = np.where(across < 0, across, across + first_face).ravel()
+        self.surface.across = new_arrays.uploaded(across, dtype=wp.int32, device=device)
         self.nearest = new_arrays.full(self.face_count, -1, dtype=wp.int32, device=device)
         self._mesh: wp.Mesh | None = None
         self._first: Doubles | None = None

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
-__all__ = ["EdgeTable", "corner_links", "edge_key", "edge_table"]
+__all__ = ["EdgeTable", "corner_links", "edge_key", "edge_table", "faces_across"]
 
 
 @dataclass(frozen=True)
@@ -68,3 +69,15 @@ def edge_table(faces: np.ndarray) -> EdgeTable:
     ends = np.stack([low[order[first]], high[order[first]]], axis=1)
     opposites = np.stack([opposite_vertex[order[first]], np.where(count > 1, opposite_vertex[order[last]], -1)], axis=1)
     return EdgeTable(ends.astype(np.int32), opposites.astype(np.int32), count.astype(np.int32))
+
+
+def faces_across(faces: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
+    """(3N,) int32, for the edge from each corner to the next the face beyond it, of several one; -1 at a border."""
+    tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    key = edge_key(tail, head, int(faces.max(initial=0)) + 1)
+    order = np.argsort(key, kind="stable")
+    same = key[order][1:] == key[order][:-1]
+    across = np.full(len(key), -1, dtype=np.int32)
+    across[order[:-1][same]] = order[1:][same] // 3
+    across[order[1:][same]] = order[:-1][same] // 3
+    return across
