@@ -55,7 +55,7 @@ class OrderReadback:
         log = ordered_log(self._rows, self._count, self._room, self._vertex)
         root = self._roots(log, self._room)
         self._ahead = MarkedFaces(self._corner_vertex, root, DropRecord.none(self._vertex_count))
-        return [log, root, self._ahead.rows(target_faces + SPARE_ROOM)]
+        return [log, self._ahead.rows(target_faces + SPARE_ROOM)]
 
     def read(
         self, count: int, face_count: int, drops: DropRecord, brought: Sequence[np.ndarray] = ()
@@ -71,20 +71,18 @@ class OrderReadback:
             brought: what :meth:`ahead` gave, where it came to the host.
         """
         if self._ahead is not None and brought and count <= self._room:
-            marked, (ordered, root, rows) = self._ahead, brought
+            marked, (ordered, rows) = self._ahead, brought
         elif device_traits(str(self._rows.device)).own_memory:
             log = ordered_log(self._rows, self._count, count, self._vertex)
-            there = self._roots(log, count)
-            marked = MarkedFaces(self._corner_vertex, there, drops)
-            ordered, root, rows = read_together(log, there, marked.rows(face_count))
+            marked = MarkedFaces(self._corner_vertex, self._roots(log, count), drops)
+            ordered, rows = read_together(log, marked.rows(face_count))
         else:
             log_here = read_log(self._rows, count, self._vertex)
             root = log_here.roots(self._vertex_count)
             return log_here, root, *faces_left(self._faces, self._corner_vertex, log_here, root, drops)
-        # Of a memory of its own.
-        root = np.array(root)
-        face_map = marked.listed(rows)
-        return log_of(ordered, count), root, root[self._faces[face_map]], face_map
+        log_here = log_of(ordered, count)
+        root, face_map = log_here.roots(self._vertex_count), marked.listed(rows)
+        return log_here, root, root[self._faces[face_map]], face_map
 
     def _roots(self, log: wp.array, room: int) -> wp.array:
         """(V,) int32, the vertex that each one collapsed into by a log on the device with room for so many."""
