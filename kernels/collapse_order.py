@@ -54,30 +54,39 @@ def key_rounds(
     key_out[i] = round_index
 
 
+@wp.func
+def _input_vertex(vertex: wp.array[wp.int32], v: wp.int32) -> wp.int32:
+    """The vertex of the input that ``v`` is, -1 for none."""
+    if v < 0 or vertex.shape[0] == 0:
+        return v
+    return vertex[v]
+
+
 @wp.kernel
 def gather_log(
     # in
     rows_in: wp.array2d[wp.int32],
     slot_in: wp.array[wp.int32],
     count_in: wp.array[wp.int32],
+    vertex_in: wp.array[wp.int32],
     # out
     values_out: wp.array[wp.int32],
 ):
     """Rows (8, C) of a log in the order of ``slot_in``, one after the other; see `warpqem.decimation.collapse_log`.
 
-    The opposite vertices of a collapse come to lie side by side, in the place of both their rows; the faces that go
-    with it and its round become one number, and the last row, squared errors, their roots. What is beyond ``count_in``
-    (1,) stays.
+    ``vertex_in`` (V,) says which vertex of the input each one is; it may be empty: the same. The opposite vertices of a
+    collapse come to lie side by side, in the place of both their rows; the faces that go with it and its round become
+    one number, and the last row, squared errors, their roots. What is beyond ``count_in`` (1,) stays.
     """
     i = wp.tid()
     if i >= count_in[0]:
         return
     slot = slot_in[i]
     count = values_out.shape[0] / ROWS
-    values_out[i] = rows_in[0, slot]
-    values_out[count + i] = rows_in[1, slot]
-    values_out[2 * count + 2 * i] = rows_in[2, slot]
-    values_out[2 * count + 2 * i + 1] = rows_in[3, slot]
+    values_out[i] = _input_vertex(vertex_in, rows_in[0, slot])
+    values_out[count + i] = _input_vertex(vertex_in, rows_in[1, slot])
+    values_out[2 * count + 2 * i] = _input_vertex(vertex_in, rows_in[2, slot])
+    values_out[2 * count + 2 * i + 1] = _input_vertex(vertex_in, rows_in[3, slot])
     values_out[4 * count + i] = (rows_in[5, slot] << FACE_BITS) | rows_in[4, slot]
     values_out[5 * count + i] = rows_in[6, slot]
     error = wp.sqrt(wp.cast(rows_in[7, slot], wp.float32))
@@ -99,24 +108,15 @@ def link_collapses(
     # in
     values_in: wp.array[wp.int32],
     count_in: wp.array[wp.int32],
-    vertex_in: wp.array[wp.int32],
     # out
     parent_out: wp.array[wp.int32],
 ):
-    """The vertex that each removed one collapsed into, of a log as :func:`gather_log` leaves it.
-
-    ``vertex_in`` (V,) says which vertex of the input the log's are; it may be empty: the same.
-    """
+    """The vertex that each removed one collapsed into, of a log as :func:`gather_log` leaves it."""
     i = wp.tid()
     if i >= count_in[0]:
         return
     count = values_in.shape[0] / ROWS
-    kept = values_in[i]
-    removed = values_in[count + i]
-    if vertex_in.shape[0] > 0:
-        kept = vertex_in[kept]
-        removed = vertex_in[removed]
-    parent_out[removed] = kept
+    parent_out[values_in[count + i]] = values_in[i]
 
 
 @wp.kernel

@@ -29,6 +29,14 @@ BORDER_WIDTH = wp.constant(wp.int32(5))
 SEAM_WIDTH = wp.constant(wp.int32(6))
 SIZES = wp.constant(wp.int32(7))
 
+# What is known of a look at vertices of far places, as int32 of one array: how many there are, whether some were held
+# back the last time, whether there is anything to fit, and large faces that were to be looked at.
+FAR_COUNT = wp.constant(wp.int32(0))
+ANY_HELD = wp.constant(wp.int32(1))
+HAS_AREA = wp.constant(wp.int32(2))
+LARGE_COUNT = wp.constant(wp.int32(3))
+LOOK = wp.constant(wp.int32(4))
+
 # Keeps the matrix of a vertex without pairs from being singular (weights are of order one).
 MIN_STIFFNESS = wp.constant(wp.float32(1.0e-6))
 
@@ -208,6 +216,73 @@ def raise_holds(
         held[v] = more
         hold[v] = wp.min(more, largest) * stiffness_in[v]
         any_marked[0] = 1
+
+
+@wp.kernel
+def note_look(
+    # in
+    far_in: wp.array[wp.int32],
+    any_held_in: wp.array[wp.int32],
+    has_area_in: wp.array[wp.int32],
+    large_count_in: wp.array[wp.int32],
+    # out
+    look_out: wp.array[wp.int32],
+):
+    """What is known of a look that marked some of C vertices as far, (LOOK,), zero before."""
+    v = wp.tid()
+    if far_in[v] != 0:
+        wp.atomic_add(look_out, int(FAR_COUNT), 1)
+    if v == 0:
+        look_out[int(ANY_HELD)] = any_held_in[0]
+        look_out[int(HAS_AREA)] = has_area_in[0]
+        look_out[int(LARGE_COUNT)] = large_count_in[0]
+
+
+@wp.kernel
+def count_times_far(
+    # in
+    far_in: wp.array[wp.int32],
+    look_in: wp.array[wp.int32],
+    most: wp.int32,
+    room: wp.int32,
+    # in and out
+    times: wp.array[wp.int32],
+    # out
+    rings_out: wp.array[wp.int32],
+):
+    """How often each vertex (C,) that is far was far, 0 of others, where a look is complete; else 0 of all.
+
+    It is complete where nothing was held back the last time, no more than ``room`` large faces were to be looked at,
+    and no more than ``most`` vertices are far, which asks for more than holding them.
+    """
+    v = wp.tid()
+    is_held = look_in[int(ANY_HELD)] != 0 or look_in[int(HAS_AREA)] == 0
+    is_complete = not is_held and look_in[int(LARGE_COUNT)] <= room and look_in[int(FAR_COUNT)] <= most
+    rings = wp.int32(0)
+    if is_complete and far_in[v] != 0:
+        rings = times[v] + 1
+        times[v] = rings
+    rings_out[v] = rings
+
+
+@wp.kernel
+def widen_rings(
+    # in
+    corner_vertex_in: wp.array[wp.int32],
+    # in and out
+    rings: wp.array[wp.int32],
+):
+    """Give the vertices of each face one ring less at least than any of them has, (C,).
+
+    A launch for each ring beyond the first makes them final; until then they are no more than that.
+    """
+    f = wp.tid()
+    a, b, c = corner_vertex_in[3 * f], corner_vertex_in[3 * f + 1], corner_vertex_in[3 * f + 2]
+    least = wp.max(rings[a], wp.max(rings[b], rings[c])) - 1
+    if least > 0:
+        wp.atomic_max(rings, a, least)
+        wp.atomic_max(rings, b, least)
+        wp.atomic_max(rings, c, least)
 
 
 @wp.kernel

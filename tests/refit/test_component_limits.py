@@ -10,6 +10,7 @@ from warpqem.kernels.surface_limits import mark_far_samples
 from warpqem.measure import compare
 from warpqem.pipeline import prepare
 from warpqem.refit import fit_surface
+from warpqem.refit.component_limits import ComponentLimits
 from warpqem.refit.matching import OUTPUT_SAMPLES
 
 
@@ -104,14 +105,15 @@ def test_each_attempt_holds_one_more_ring_around_a_place_that_comes_further_away
     held, stiffen = [], fit_surface._Refit._stiffen
     monkeypatch.setattr(prepare, "SPARE", 0.0)
 
-    def far_vertices(self):
-        far = np.zeros(self._vertex_count, dtype=bool)
-        far[self._faces[7]] = True
-        return far
+    def mark_far(self, moved):
+        far = np.zeros(len(self.sampled.far), dtype=np.int32)
+        far[self._faces[7]] = 1
+        self.sampled.far.assign(far)
+        return self.sampled.far
 
-    monkeypatch.setattr(fit_surface._Refit, "far_vertices", far_vertices)
+    monkeypatch.setattr(ComponentLimits, "mark_far", mark_far)
     monkeypatch.setattr(
-        fit_surface._Refit, "_stiffen", lambda self, marked: (held.append(marked.copy()), stiffen(self, marked))[1]
+        fit_surface._Refit, "_stiffen", lambda self, marks: (held.append(marks.numpy() != 0), stiffen(self, marks))[1]
     )
     points, faces = meshes.swaying_sphere(3, 4)
     result = warpqem.simplify(points, faces, ratio=0.3, device=device)
@@ -127,22 +129,25 @@ def test_each_attempt_holds_one_more_ring_around_a_place_that_comes_further_away
 @pytest.mark.parametrize("shift", [0.0, 0.05])
 def test_places_that_moved_too_far_are_those_that_a_look_at_all_of_them_finds(shift, device, monkeypatch):
     # Distances are updated by what moves, and measured anew only where that may be too far.
-    marks, far_vertices = [], fit_surface._Refit.far_vertices
+    marks, looks = [], fit_surface._Refit._look
 
     def look(self):
         moved = self._correction.numpy()
         moved[::7] += shift
         self._correction.assign(moved)
-        far = far_vertices(self)
+        found = looks(self)
         limits, updated = self._limits.sampled, self._limits.sampled.far.numpy().copy()
         limits.far.zero_()
         self._matching.find(1.0)
         self._matching._measure_vertices(0)
         self._matching._note(mark_far_samples, 0, self._matching._show(0), limits)
         marks.append((updated, limits.far.numpy().copy()))
-        return np.zeros_like(far)
+        # Nothing is far, nor is there anything to fit.
+        found.zero_()
+        return found
 
-    monkeypatch.setattr(fit_surface._Refit, "far_vertices", look)
+    monkeypatch.setattr(fit_surface._Refit, "_look", look)
+    monkeypatch.setattr(fit_surface, "ATTEMPTS_AHEAD", 0)
     monkeypatch.setattr(prepare, "SPARE", 0.0)
     warpqem.simplify(*bent_tubes(0.1), ratio=0.1, refit=True, keep_components=True, device=device)
     ((updated, full),) = marks

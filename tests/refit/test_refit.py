@@ -341,7 +341,6 @@ def test_a_solver_solves_again_after_its_elements_have_changed(device):
 def test_rounds_of_the_fit_do_not_wait_for_the_device(roughly, monkeypatch):
     # Marks of vertices and faces come after the rounds.
     monkeypatch.setattr(fit_surface._Refit, "hold_back", lambda *_, **__: None)
-    monkeypatch.setattr(fit_surface._Refit, "far_vertices", lambda *_: np.zeros(1, dtype=bool))
     monkeypatch.setattr(prepare, "SPARE", 0.0)
     waited, fit = [], place_frames.fit_corrections
 

@@ -12,7 +12,6 @@ from functools import cached_property
 import numpy as np
 import warp as wp
 
-from warpqem.decimation.collapse_log import CollapseRecord
 from warpqem.kernels import arrangement as kernels
 from warpqem.kernels.lanes import width_of
 from warpqem.kernels.work import Work
@@ -84,22 +83,6 @@ class Arrangement:
     def restore_half_edges(self, half_edge: np.ndarray) -> np.ndarray:
         """Half-edges or corners (M,) as the input numbers them."""
         return 3 * self.host_face[half_edge // 3] + half_edge % 3
-
-    def restore_log(self, log: CollapseRecord) -> CollapseRecord:
-        """The collapses in terms of input vertices."""
-        # An opposite vertex that is not there is -1, which wraps around to the last entry.
-        vertex = np.append(self.host_vertex, np.int32(-1))
-        kept, removed, opposites = (np.take(vertex, v, mode="wrap") for v in (log.kept, log.removed, log.opposites))
-        return CollapseRecord(
-            kept,
-            removed,
-            opposites,
-            log.faces_removed,
-            log.cost,
-            log.error,
-            log.round_index,
-            log.recent_error,
-        )
 
 
 def arrange(corner_vertex: wp.array, position: wp.array) -> Arrangement:

@@ -93,26 +93,34 @@ def new_log(capacity: int, device: str) -> tuple[CollapseLog, wp.array]:
     return log, rows
 
 
-def read_log(rows: wp.array, count: int) -> CollapseRecord:
-    """Fetch ``count`` collapses; those of a round, which threads log in any order, are put in order of their cost."""
+def read_log(rows: wp.array, count: int, vertex: wp.array | None = None) -> CollapseRecord:
+    """Fetch ``count`` collapses; those of a round, which threads log in any order, are put in order of their cost.
+
+    ``vertex`` (V,) int32 on the device says which vertices of the input theirs are; None for the same.
+    """
     device = rows.device
     if not count:
         return log_of(np.empty(0, dtype=np.int32), 0)
     ordered = new_arrays.empty(ROWS * count, dtype=wp.int32, device=device)
     slot = _order_on_host(rows, count) if device_traits(str(device)).in_order else _order_by_sorts(rows, count)
     there = new_arrays.uploaded([count], dtype=wp.int32, device=device)
-    launch(kernels.gather_log, count, [rows, slot, there], [ordered], device=device)
+    launch(kernels.gather_log, count, [rows, slot, there, _numbers(vertex, device)], [ordered], device=device)
     return log_of(ordered.numpy(), count)
 
 
-def ordered_log(rows: wp.array, count: wp.array, room: int) -> wp.array:
+def ordered_log(rows: wp.array, count: wp.array, room: int, vertex: wp.array | None = None) -> wp.array:
     """The same on the device, with room for so many: (7 room,) int32, for :func:`log_of`; ``count`` is (1,) int32."""
     device = rows.device
     ordered = new_arrays.zeros(ROWS * room, dtype=wp.int32, device=device)
     if room:
         slot = _slots_by_sorts(rows, count, rows.shape[1])[:room]
-        launch(kernels.gather_log, room, [rows, slot, count], [ordered], device=device)
+        launch(kernels.gather_log, room, [rows, slot, count, _numbers(vertex, device)], [ordered], device=device)
     return ordered
+
+
+def _numbers(vertex: wp.array | None, device: wp.Device) -> wp.array:
+    """The vertices of the input; none where they are the same."""
+    return new_arrays.empty(0, dtype=wp.int32, device=device) if vertex is None else vertex
 
 
 def log_of(ordered: np.ndarray, count: int) -> CollapseRecord:
@@ -168,9 +176,13 @@ def _recent_error(error: np.ndarray) -> np.ndarray:
     np.cumsum(np.square(error, dtype=np.float64), out=total[1:])
     count = np.arange(1, len(error) + 1)
     taken = np.maximum((RECENT * count).astype(np.int64), 1)
-    difference = total[1:] - total[count - taken]
-    mean: np.ndarray = np.sqrt(np.maximum(difference, 0.0, out=difference) / taken)
-    return mean.astype(np.float32)
+    count -= taken
+    # Indices are in range: so NumPy need not copy what it takes.
+    mean = np.take(total, count, mode="clip")
+    np.subtract(total[1:], mean, out=mean)
+    np.maximum(mean, 0.0, out=mean)
+    mean /= taken
+    return np.sqrt(mean, out=mean).astype(np.float32)
 
 
 def _sorted_rounds(round_index: np.ndarray, cost: np.ndarray, removed: np.ndarray, vertex_count: int) -> np.ndarray:

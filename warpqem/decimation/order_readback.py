@@ -38,7 +38,8 @@ class OrderReadback:
         self, steps: PassSteps, faces: np.ndarray, corner_vertex: wp.array, arrangement: Arrangement | None
     ) -> None:
         self._count, self._rows = steps.log.count, steps.log_rows
-        self._faces, self._corner_vertex, self._arrangement = faces, corner_vertex, arrangement
+        self._faces, self._corner_vertex = faces, corner_vertex
+        self._vertex = None if arrangement is None else arrangement.vertex
         self._vertex_count = steps.log_rows.shape[1]
         self._ahead: MarkedFaces | None = None
         self._room = 0
@@ -51,8 +52,9 @@ class OrderReadback:
         """
         excess = max(0, len(self._faces) - target_faces)
         self._room = min(self._vertex_count, (excess + edge_count) // 2 + SPARE_ROOM)
-        log = ordered_log(self._rows, self._count, self._room)
-        self._ahead = self._marked(log, self._room, DropRecord.none(self._vertex_count))
+        log = ordered_log(self._rows, self._count, self._room, self._vertex)
+        root = self._roots(log, self._room)
+        self._ahead = MarkedFaces(self._corner_vertex, root, DropRecord.none(self._vertex_count))
         return [log, self._ahead.rows(target_faces + SPARE_ROOM)]
 
     def read(
@@ -71,30 +73,23 @@ class OrderReadback:
         if self._ahead is not None and brought and count <= self._room:
             marked, (ordered, rows) = self._ahead, brought
         elif device_traits(str(self._rows.device)).own_memory:
-            log = ordered_log(self._rows, self._count, count)
-            marked = self._marked(log, count, drops)
+            log = ordered_log(self._rows, self._count, count, self._vertex)
+            marked = MarkedFaces(self._corner_vertex, self._roots(log, count), drops)
             ordered, rows = read_together(log, marked.rows(face_count))
         else:
-            log_here = self._in_input_terms(read_log(self._rows, count))
+            log_here = read_log(self._rows, count, self._vertex)
             root = log_here.roots(self._vertex_count)
             return log_here, root, *faces_left(self._faces, self._corner_vertex, log_here, root, drops)
-        log_here = self._in_input_terms(log_of(ordered, count))
+        log_here = log_of(ordered, count)
         root, face_map = log_here.roots(self._vertex_count), marked.listed(rows)
         return log_here, root, root[self._faces[face_map]], face_map
 
-    def _in_input_terms(self, log: CollapseRecord) -> CollapseRecord:
-        return log if self._arrangement is None else self._arrangement.restore_log(log)
-
-    def _marked(self, log: wp.array, room: int, drops: DropRecord) -> MarkedFaces:
-        """The faces that a log on the device leaves, with room for so many collapses."""
+    def _roots(self, log: wp.array, room: int) -> wp.array:
+        """(V,) int32, the vertex that each one collapsed into by a log on the device with room for so many."""
         device, vertex_count = log.device, self._vertex_count
         parent, root = (new_arrays.empty(vertex_count, dtype=wp.int32, device=device) for _ in range(2))
-        vertex = new_arrays.empty(0, dtype=wp.int32, device=device)
-        if self._arrangement is not None:
-            vertex = self._arrangement.vertex
         launch(kernels.begin_roots, vertex_count, [], [parent], device=device)
         if room:
-            inputs = [log, self._count, vertex]
-            launch(kernels.link_collapses, room, inputs, [parent], device=device)
+            launch(kernels.link_collapses, room, [log, self._count], [parent], device=device)
         launch(kernels.follow_collapses, vertex_count, [parent], [root], device=device)
-        return MarkedFaces(self._corner_vertex, root, drops)
+        return root

@@ -13,13 +13,13 @@ import warp as wp
 from warpqem.frames.device_frames import DeviceSink
 from warpqem.frames.stream import FrameSink, FrameWriter, read_ahead
 from warpqem.mesh.mesh_input import AnimatedMesh
-from warpqem.place.block_placer import PlacedBlocks, PointsUnderWay
+from warpqem.place.block_placer import PlacedBlocks, PlacedFrames, PointsUnderWay
 from warpqem.place.frame_store import AnyFrameStore, DeviceFrameStore, FrameStore
 from warpqem.place.place import Placer
-from warpqem.refit.fit_surface import fit_corrections
+from warpqem.refit.fit_surface import FitUnderWay, fit_corrections
 from warpqem.runtime.device import device_traits
-from warpqem.runtime.readback import read_together
-from warpqem.runtime.staging import Downloads, work_copies
+from warpqem.runtime.readback import joined, read_together
+from warpqem.runtime.staging import Download, Downloads, work_copies
 
 __all__ = ["FinishedFrames", "Placing", "Settling", "place_frames", "place_refitted"]
 
@@ -109,6 +109,25 @@ class _Finish:
         if self._downloads.at_once:
             self.hand_on(write)
 
+    def took_fitted(
+        self, frames: slice, kept: PlacedFrames, fit: FitUnderWay, write: FrameWriter[PointsUnderWay]
+    ) -> bool:
+        """Finish the first frames with what says whether a fit is final: the host waits once for both.
+
+        False where it was final before, or is now by another way than it seemed.
+        """
+        while fit.pending is not None:
+            count = len(fit.pending)
+            placed = self._placer.to_blocks(self._mesh, fit.apply(kept))
+            flips = [self._placer.count_flips(placed)] if self._counts_flips else []
+            begun = placed.begin_download(self._mesh, joined([*flips, fit.pending]), self._downloads)
+            begun.download.wait()
+            numbers = begun.download.result()
+            if fit.stands(numbers[-count:].view(np.int32)):
+                write(frames, replace(begun, download=Download.of(numbers[:-count])))
+                return True
+        return False
+
     def hand_on(self, write: FrameWriter[PointsUnderWay]) -> None:
         """Have the frames that are under way written, if there are any; they are to be the last ones in the end."""
         if self._under_way is not None:
@@ -164,14 +183,18 @@ def place_refitted(
     """
     placer = work.placer
     with _stored(work, on_disk, settling is None) as store:
-        correct = fit_corrections(
+        fit = fit_corrections(
             work.mesh, placer, store, key_frames, error, recent_error, work.blocks, placer.device, roughly
         )
+        if settling is not None or isinstance(work.sink, DeviceSink) or not device_traits(placer.device).own_memory:
+            fit.complete()
         while True:
             finish = _Finish(work, counts_flips=not roughly)
             with FrameWriter(finish.written, len(work.blocks)) as write:
                 for frames, kept in read_ahead(store.read, work.blocks):
-                    moved = correct(kept)
+                    if finish.took_fitted(frames, kept, fit, write):
+                        continue
+                    moved = fit.apply(kept)
                     if settling is not None:
                         moved = replace(moved, points=np.where(settling.held[:, None], kept.points, moved.points))
                     finish.take(frames, placer.to_blocks(work.mesh, moved), write)

@@ -91,12 +91,14 @@ class ComponentLimits:
         """(1,) int32 on the device: what :meth:`mark_far` may not have had room for; None where it has."""
         return None if self._own is None else self._own.large_count
 
-    def has_room(self, large_count: int) -> bool:
-        """Whether there was room for so many large faces; else there is from now on, and places are looked at again."""
-        if self._own is None or large_count <= self._own.room:
-            return True
+    @property
+    def room(self) -> int:
+        """What :meth:`mark_far` had room for, at least."""
+        return 0 if self._own is None else self._own.room
+
+    def make_room(self, large_count: int) -> None:
+        """Have room for so many large faces; places are then to be looked at again."""
         self._own, self._room = None, large_count
-        return False
 
     def whole_components(self, marked: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
         """(C,) bool, all vertices of the components that some vertices (C,) bool are of."""

@@ -10,7 +10,7 @@ every frame were measured too: they gain 2 % more and slide.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,9 +24,10 @@ from warpqem.kernels.element_solve import Elements
 from warpqem.kernels.surface_limits import raise_limits
 from warpqem.mesh.mesh_input import AnimatedMesh
 from warpqem.place.block_placer import PlacedFrames
-from warpqem.place.frame_store import AnyFrameStore
+from warpqem.place.frame_store import AnyFrameStore, DeviceFrameStore
 from warpqem.place.place import Placer
 from warpqem.refit.component_limits import ComponentLimits
+from warpqem.refit.far_places import FarPlaces, Look
 from warpqem.refit.holds import Holds
 from warpqem.refit.matching import Matching, make_surface
 from warpqem.refit.material_frames import MaterialFrames
@@ -37,9 +38,9 @@ from warpqem.refit.solve import ElementSolver
 from warpqem.runtime import new_arrays
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import launch
-from warpqem.runtime.readback import read_together
+from warpqem.runtime.readback import joined
 
-__all__ = ["fit_corrections"]
+__all__ = ["FitUnderWay", "fit_corrections"]
 
 # Pairs are found and the system is solved so often: the third round gains 0.5 % for a tenth of the job's time.
 ROUNDS = 3
@@ -78,6 +79,10 @@ MIN_DOUBTED = 1e-6
 HELD_AT_ONCE = 4
 # A rough fit is only looked at: it may still turn a face over.
 HELD_ROUGHLY = 4
+# There so many attempts to hold far places are made before it looks, too.
+ATTEMPTS_AHEAD = 2
+# Where the host would wait, and frames come in so many blocks from the device itself, looking through them takes less.
+FEW_BLOCKS = 2
 
 
 def fit_corrections(
@@ -90,7 +95,7 @@ def fit_corrections(
     blocks: Sequence[slice],
     device: str,
     roughly: bool = False,
-) -> Callable[[PlacedFrames], PlacedFrames]:
+) -> FitUnderWay:
     """What moves placed frames, so that the surface as a whole is nearest to the input.
 
     Pinned vertices, corners of seams and those that stand for one input vertex stay where they are; others on seams
@@ -111,7 +116,7 @@ def fit_corrections(
     """
     fit = _Refit(mesh, placer, placed, key_frames, max(DOUBTED * recent_error, MIN_DOUBTED), blocks, device)
     if fit.has_no_area:
-        return lambda frames: frames
+        return FitUnderWay(lambda frames: frames)
     reach = REACH * error
     # The first pairs need the search. Distances decide only whether components come further away.
     fit.improve(reach, search=True, take_limits=not roughly)
@@ -119,23 +124,42 @@ def fit_corrections(
         # So do the last ones: of twelve clips the error is 0.3 % more without, of assemblies 1 %.
         fit.improve(reach, search=left == 0 and not roughly)
     fit.hold_back(HELD_ROUGHLY if roughly else None)
-    if roughly:
-        return fit.apply
-    for _ in range(ATTEMPTS):
-        far = fit.far_vertices()
-        if not far.any():
-            return fit.apply
-        if far.mean() > MANY_FAR:
-            fit.pair_again(reach)
-        fit.hold_places(far)
-        fit.hold_back()
-    for share in SHARES:
-        far = fit.far_vertices()
-        if not far.any():
-            break
-        fit.shrink_components(far, share)
-    fit.leave_turned_components()
-    return fit.apply
+    return FitUnderWay(fit.apply, None if roughly else fit.settle(reach))
+
+
+# Yields numbers on the device for the host to read, and is sent them; returns whether the last ones changed nothing.
+Settling = Generator[wp.array, np.ndarray, bool]
+
+
+class FitUnderWay:
+    """Corrections that are final unless numbers on the device say otherwise, which come along with what they moved.
+
+    Args:
+        apply: moves placed frames by the corrections as they are now.
+        settling: goes on with them; None where they are final.
+
+    Attributes:
+        pending: (n,) int32 on the device, what the host is to read; None where the corrections are final.
+    """
+
+    def __init__(self, apply: Callable[[PlacedFrames], PlacedFrames], settling: Settling | None = None) -> None:
+        self.apply, self._settling = apply, settling
+        self.pending: wp.array | None = None if settling is None else next(settling)
+
+    def stands(self, numbers: np.ndarray) -> bool:
+        """Whether what was moved before is final, by what ``pending`` holds; else corrections are others now."""
+        assert self._settling is not None
+        try:
+            self.pending = self._settling.send(numbers)
+        except StopIteration as end:
+            self.pending = None
+            return bool(end.value)
+        return False
+
+    def complete(self) -> None:
+        """Make the corrections final."""
+        while self.pending is not None:
+            self.stands(self.pending.numpy())
 
 
 @dataclass(frozen=True)
@@ -175,6 +199,9 @@ class _Refit:
         self._adjacency = build_adjacency(self._corner_vertex, self._vertex_count)
         rings = self._make_rings(placed.read(slice(0, 1)))
         self._all_frames = MaterialFrames(rings, placer.free, placed, blocks, device)
+        is_near = self._all_frames.is_kept or (isinstance(placed, DeviceFrameStore) and len(blocks) <= FEW_BLOCKS)
+        # Where frames come one block after another, looking through them takes longer than a wait.
+        self._works_ahead = device_traits(device).own_memory and is_near
         keys = placed.chosen(key_frames)
         self._keys = self._all_frames.of(keys)
         self._equations = self._make_equations()
@@ -211,7 +238,9 @@ class _Refit:
         )
         self._holds = Holds(placer.on_seam, device)
         self._correction = new_arrays.zeros(self._vertex_count, dtype=wp.vec3, device=device)
-        self._times_far = np.zeros(self._vertex_count, dtype=np.int32)
+        self._far_places = FarPlaces(
+            self._corner_vertex, self._vertex_count, _share_of(self._vertex_count, MANY_FAR), device
+        )
         self._limits = ComponentLimits(
             self._matching,
             source.points,
@@ -310,11 +339,10 @@ class _Refit:
         more than its own share of the fit.
 
         Args:
-            most: So often at most; None for as often as it takes. Where the host would wait to see,
-                :meth:`far_vertices` sees to that.
+            most: So often at most; None for as often as it takes. Where the host would wait to see, :meth:`settle`
+                sees to that.
         """
-        # Where frames come one block after another, looking through them takes longer than a wait.
-        if device_traits(self._device).own_memory and self._all_frames.is_kept:
+        if self._works_ahead:
             for _ in range(HELD_AT_ONCE if most is None else most):
                 self._hold_once()
             return
@@ -334,14 +362,10 @@ class _Refit:
             device=self._device,
         )
         self._mark_turned_over(marks)
-        self._stiffen_there(marks)
+        self._stiffen(marks)
 
-    def _stiffen(self, marked: np.ndarray) -> None:
-        """Solve again with more stiffness at some vertices (C,) bool; at those marked before, without moving them."""
-        self._stiffen_there(new_arrays.uploaded(marked, dtype=wp.int32, device=self._device))
-
-    def _stiffen_there(self, marks: wp.array) -> None:
-        """The same of vertices that are marked in (C,) int32 on the device."""
+    def _stiffen(self, marks: wp.array) -> None:
+        """Solve again with more stiffness at vertices marked in (C,) int32; those marked before do not move."""
         self._holds.hold(marks)
         any_marked = self._holds.any_marked
         # Only where the host need not wait.
@@ -361,40 +385,73 @@ class _Refit:
                 device=self._device,
             )
 
-    def far_vertices(self) -> np.ndarray:
-        """(C,) bool, vertices at places that are further away than any of their component was as placed.
+    def settle(self, reach: float) -> Settling:
+        """Hold back what comes further away than any of its component was as placed, see :data:`Settling`.
 
-        Vertices are held back as far as it takes before. The host waits once for both.
+        Args:
+            reach: as in :meth:`improve`.
         """
-        while True:
-            self._keys.move(self._correction, self._moved)
-            far = self._limits.mark_far(self._moved)
-            asked = [self._holds.any_marked, self._sizes.has_area]
-            if self._limits.large_count is not None:
-                asked.append(self._limits.large_count)
-            marks, any_marked, has_area, *large = read_together(far, *asked)
-            if not has_area[0]:
-                return np.zeros(self._vertex_count, dtype=bool)
-            if any_marked[0]:
-                self.hold_back()
-            elif not large or self._limits.has_room(int(large[0][0])):
-                return marks != 0
+        attempt = 0
+        while attempt < ATTEMPTS:
+            begun = self._looks_ahead(attempt)
+            *held, last = Look.from_numbers((yield begun))
+            attempt += sum(self._is_complete(look) and 0 < look.far_count <= self._far_places.few for look in held)
+            if not last.has_area:
+                return True
+            if not self._is_complete(last):
+                self._complete(last)
+            elif attempt < ATTEMPTS:
+                if not last.far_count:
+                    return True
+                if last.far_count > self._far_places.few:
+                    # The surfaces as they were looked at, so that others adapt to what is held.
+                    self._matching.find(reach, search=True)
+                    self._assemble()
+                self._hold_far(begun[-int(kernels.LOOK) :], attempt, many=True)
+                attempt += 1
+        for share in SHARES:
+            while True:
+                (look,) = Look.from_numbers((yield self._look()))
+                if not look.has_area or self._is_complete(look):
+                    break
+                self._complete(look)
+            if not look.has_area or not look.far_count:
+                break
+            self.shrink_components(self._limits.sampled.far.numpy() != 0, share)
+        self.leave_turned_components()
+        return False
 
-    def pair_again(self, reach: float) -> None:
-        """Pair the surfaces as :meth:`far_vertices` looked at them, so that others adapt to what is held."""
-        self._matching.find(reach, search=True)
-        self._assemble()
+    def _looks_ahead(self, attempt: int) -> wp.array:
+        """What is known of a look at all places, and of those after attempts that are made before the host looks."""
+        looks = [self._look()]
+        if self._works_ahead:
+            for ahead in range(min(ATTEMPTS_AHEAD, ATTEMPTS - attempt)):
+                self._hold_far(looks[-1], attempt + ahead)
+                looks.append(self._look())
+        return joined(looks)
 
-    def hold_places(self, far: np.ndarray) -> None:
-        """Stiffen vertices (C,) bool, as the surfaces were paired last; one that was far before with a ring more."""
-        self._times_far[far] += 1
-        times = np.where(far, self._times_far, 0)
-        marked = np.zeros_like(far)
-        for rings in range(int(times.max()) - 1, -1, -1):
-            marked |= times > rings
-            if rings:
-                marked[self._faces[marked[self._faces].any(axis=1)].ravel()] = True
-        self._stiffen(marked)
+    def _look(self) -> wp.array:
+        """Look for vertices at places that are further away than any of their component was as placed."""
+        self._keys.move(self._correction, self._moved)
+        far = self._limits.mark_far(self._moved)
+        return self._far_places.note(far, self._holds.any_marked, self._sizes.has_area, self._limits.large_count)
+
+    def _hold_far(self, look: wp.array, attempt: int, *, many: bool = False) -> None:
+        """Hold the places of a look, the last one, as the surfaces were paired last; see :meth:`FarPlaces.to_hold`."""
+        far, room = self._limits.sampled.far, self._limits.room
+        self._stiffen(self._far_places.to_hold(far, look, room, attempt, many=many))
+        self.hold_back()
+
+    def _is_complete(self, look: Look) -> bool:
+        """Whether vertices were held back before as far as it takes, and there was room for all that is looked at."""
+        return not look.any_held and look.large_count <= self._limits.room
+
+    def _complete(self, look: Look) -> None:
+        """Do what a look lacked."""
+        if look.any_held:
+            self.hold_back()
+        else:
+            self._limits.make_room(look.large_count)
 
     def shrink_components(self, marked: np.ndarray, share: float) -> None:
         """Move the components that some vertices (C,) bool are of by a share of what they do."""
@@ -415,3 +472,8 @@ class _Refit:
         """Mark vertices (C,) int32 that have a part in a face that turns over in some frame."""
         for block in self._all_frames.all():
             block.mark_new_flips(self._correction, self._corner_vertex, marks)
+
+
+def _share_of(count: int, share: float) -> int:
+    """The most of ``count`` that is no more than a share of them."""
+    return int(np.count_nonzero(np.arange(1, count + 1) / count <= share))

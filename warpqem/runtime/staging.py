@@ -266,6 +266,11 @@ class Download:
     def __init__(self, wait: Callable[[], None], result: Callable[[], np.ndarray]) -> None:
         self.wait, self.result = wait, result
 
+    @classmethod
+    def of(cls, numbers: np.ndarray) -> Download:
+        """Numbers (n,) float32 that are there."""
+        return cls(lambda: None, lambda: numbers)
+
 
 class Downloads:
     """Brings blocks of numbers to the host, one after another.
@@ -289,8 +294,7 @@ class Downloads:
         The result of a block is to be taken before the third one after it is begun.
         """
         if self.at_once:
-            found = numbers.numpy()
-            return Download(lambda: None, lambda: found)
+            return Download.of(numbers.numpy())
         size = len(numbers)
         room = self._buffers[self._begun % BUFFERS].room(size)
         self._begun += 1
