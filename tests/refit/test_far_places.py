@@ -5,7 +5,7 @@ import pytest
 import warp as wp
 
 from tests.support import meshes
-from warpqem.refit.far_places import FarPlaces, Look
+from warpqem.refit.far_places import FarLook, FarPlaces
 
 POINTS, FACES = meshes.bumpy_sphere(2)
 COUNT = POINTS.shape[-2]
@@ -67,4 +67,4 @@ def test_many_vertices_are_held_only_where_that_is_asked_for(places, device):
 
 def test_a_look_tells_the_host_what_it_found(places, device):
     looks = np.concatenate([looked_at(places, vertices, device, 1, 0, 7)[1].numpy() for vertices in ([], [1, 2])])
-    assert Look.from_numbers(looks) == [Look(0, True, False, 7), Look(2, True, False, 7)]
+    assert FarLook.from_numbers(looks) == [FarLook(0, True, False, 7), FarLook(2, True, False, 7)]

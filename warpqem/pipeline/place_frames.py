@@ -16,7 +16,8 @@ from warpqem.mesh.mesh_input import AnimatedMesh
 from warpqem.place.block_placer import PlacedBlocks, PlacedFrames, PointsUnderWay
 from warpqem.place.frame_store import AnyFrameStore, DeviceFrameStore, FrameStore
 from warpqem.place.place import Placer
-from warpqem.refit.fit_surface import FitUnderWay, fit_corrections
+from warpqem.refit.fit_surface import fit_corrections
+from warpqem.refit.fit_under_way import FitUnderWay
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.readback import joined, read_together
 from warpqem.runtime.staging import Download, Downloads, work_copies

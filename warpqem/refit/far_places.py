@@ -11,11 +11,11 @@ from warpqem.kernels import refit as kernels
 from warpqem.runtime import new_arrays
 from warpqem.runtime.launches import launch
 
-__all__ = ["FarPlaces", "Look"]
+__all__ = ["FarLook", "FarPlaces"]
 
 
 @dataclass(frozen=True)
-class Look:
+class FarLook:
     """What the host knows of a look at all places.
 
     Attributes:
@@ -31,7 +31,7 @@ class Look:
     large_count: int
 
     @classmethod
-    def from_numbers(cls, numbers: np.ndarray) -> list[Look]:
+    def from_numbers(cls, numbers: np.ndarray) -> list[FarLook]:
         """Looks, one after another, from what :meth:`FarPlaces.note` gave, (n * LOOK,) int32."""
         rows = numbers.reshape(-1, int(kernels.LOOK)).tolist()
         return [cls(far, bool(held), bool(area), large) for far, held, area, large in rows]

@@ -10,8 +10,8 @@ every frame were measured too: they gain 2 % more and slide.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Generator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import warp as wp
@@ -20,27 +20,27 @@ from warpqem.decimation.adjacency import build_adjacency
 from warpqem.frames.device_frames import to_device
 from warpqem.kernels import material_frame as frame_kernels
 from warpqem.kernels import refit as kernels
-from warpqem.kernels.element_solve import Elements
 from warpqem.kernels.surface_limits import raise_limits
 from warpqem.mesh.mesh_input import AnimatedMesh
 from warpqem.place.block_placer import PlacedFrames
 from warpqem.place.frame_store import AnyFrameStore, DeviceFrameStore
 from warpqem.place.place import Placer
 from warpqem.refit.component_limits import ComponentLimits
-from warpqem.refit.far_places import FarPlaces, Look
+from warpqem.refit.far_places import FarLook, FarPlaces
+from warpqem.refit.fit_under_way import FitUnderWay, Settling
 from warpqem.refit.holds import Holds
 from warpqem.refit.matching import Matching, make_surface
 from warpqem.refit.material_frames import MaterialFrames
+from warpqem.refit.normal_equations import NormalEquations
 from warpqem.refit.reference import Reference
 from warpqem.refit.scales import FitSizes
 from warpqem.refit.seam_edges import find_borders, find_seams
-from warpqem.refit.solve import ElementSolver
 from warpqem.runtime import new_arrays
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import launch
 from warpqem.runtime.readback import joined
 
-__all__ = ["FitUnderWay", "fit_corrections"]
+__all__ = ["fit_corrections"]
 
 # Pairs are found and the system is solved so often: the third round gains 0.5 % for a tenth of the job's time.
 ROUNDS = 3
@@ -50,10 +50,6 @@ ROUGH_ROUNDS = 2
 # Each sample is paired in one key frame, and in one more for so many frames of the animation, so that the refit costs
 # no more than the rest of the job. One frame for each sample gives away 0.5 % of the error, as samples take turns.
 FRAMES_PER_TURN = 48
-
-# Stiffness of corrections, relative to the area they stand for: along the surface, across it.
-TANGENT_STIFFNESS = 0.001
-NORMAL_STIFFNESS = 0.00008
 
 # Pairs further apart than so many times the largest error of a collapse are left out: there the search for the nearest
 # point got lost. The surfaces themselves are nowhere further apart than about three times that.
@@ -127,58 +123,6 @@ def fit_corrections(
     return FitUnderWay(fit.apply, None if roughly else fit.settle(reach))
 
 
-# Yields numbers on the device for the host to read, and is sent them; returns whether the last ones changed nothing.
-Settling = Generator[wp.array, np.ndarray, bool]
-
-
-class FitUnderWay:
-    """Corrections that are final unless numbers on the device say otherwise, which come along with what they moved.
-
-    Args:
-        apply: moves placed frames by the corrections as they are now.
-        settling: goes on with them; None where they are final.
-
-    Attributes:
-        pending: (n,) int32 on the device, what the host is to read; None where the corrections are final.
-    """
-
-    def __init__(self, apply: Callable[[PlacedFrames], PlacedFrames], settling: Settling | None = None) -> None:
-        self.apply, self._settling = apply, settling
-        self.pending: wp.array | None = None if settling is None else next(settling)
-
-    def stands(self, numbers: np.ndarray) -> bool:
-        """Whether what was moved before is final, by what ``pending`` holds; else corrections are others now."""
-        assert self._settling is not None
-        try:
-            self.pending = self._settling.send(numbers)
-        except StopIteration as end:
-            self.pending = None
-            return bool(end.value)
-        return False
-
-    def complete(self) -> None:
-        """Make the corrections final."""
-        while self.pending is not None:
-            self.stands(self.pending.numpy())
-
-
-@dataclass(frozen=True)
-class _Equations:
-    """Normal equations, but for how far vertices are held; the arrays take those of one pairing after the other.
-
-    Attributes:
-        elements: their blocks; those on the diagonal are filled in when they are solved.
-        diagonal: (N', 3) mat33, these.
-        share: (N',) float32, of each face by how much its corners are held.
-        right: (3N',) vec3, the right side at each corner.
-    """
-
-    elements: Elements
-    diagonal: wp.array
-    share: wp.array
-    right: wp.array
-
-
 class _Refit:
     """The corrections of one mesh, on the device."""
 
@@ -204,8 +148,7 @@ class _Refit:
         self._works_ahead = device_traits(device).own_memory and is_near
         keys = placed.chosen(key_frames)
         self._keys = self._all_frames.of(keys)
-        self._equations = self._make_equations()
-        self._solver = ElementSolver(self._equations.elements)
+        self._equations = NormalEquations(self._corner_vertex, self._adjacency)
         turns = max(1, min(len(key_frames), mesh.frame_count // FRAMES_PER_TURN))
         # Of a pruned component nothing is near to the output.
         is_left = placer.vertex_map[mesh.faces[:, 0]] >= 0
@@ -279,55 +222,8 @@ class _Refit:
         """
         self._keys.move(self._correction, self._moved)
         self._matching.find(reach, search, raise_limits if take_limits else None, self._limits.sampled)
-        self._assemble()
-        wp.copy(self._correction, self._solve(self._sizes.has_area))
-
-    def _make_equations(self) -> _Equations:
-        elements, device, face_count = Elements(), self._device, len(self._faces)
-        elements.corner_vertex = self._corner_vertex
-        elements.adjacency_start, elements.adjacent_corner = self._adjacency.start, self._adjacency.corner
-        elements.block = new_arrays.empty((face_count, 9), dtype=wp.mat33, device=device)
-        return _Equations(
-            elements,
-            new_arrays.empty((face_count, 3), dtype=wp.mat33, device=device),
-            new_arrays.empty(face_count, dtype=wp.float32, device=device),
-            new_arrays.empty(3 * face_count, dtype=wp.vec3, device=device),
-        )
-
-    def _assemble(self) -> None:
-        """Make the normal equations of the last pairs, found on the surface as it is corrected now."""
-        equations = self._equations
-        launch(
-            kernels.assemble_elements,
-            dim=len(self._faces),
-            inputs=[
-                self._corner_vertex,
-                self._matching.input_pairs,
-                self._matching.input_start,
-                self._matching.input_order,
-                self._matching.output_pairs,
-                self._sizes.values,
-                self._keys.points,
-                self._keys.frames,
-                self._correction,
-                1.0 / self._far**2,
-            ],
-            outputs=[equations.elements.block, equations.diagonal, equations.share, equations.right],
-            device=self._device,
-        )
-
-    def _solve(self, wanted: wp.array | None = None) -> wp.array:
-        """What solves the equations with vertices held as they are now, (C,) vec3; see :class:`ElementSolver`."""
-        equations = self._equations
-        stiffness = wp.vec3(TANGENT_STIFFNESS, TANGENT_STIFFNESS, NORMAL_STIFFNESS)
-        launch(
-            kernels.hold_elements,
-            dim=len(self._faces),
-            inputs=[self._corner_vertex, equations.diagonal, equations.share, stiffness, self._holds.stiffness],
-            outputs=[equations.elements.block],
-            device=self._device,
-        )
-        return self._solver.solve(equations.right, wanted)
+        self._equations.assemble(self._matching, self._keys, self._sizes, self._correction, self._far)
+        wp.copy(self._correction, self._equations.solve(self._holds, self._sizes.has_area))
 
     def hold_back(self, most: int | None = None) -> None:
         """Stiffen vertices that turn a face over in some frame, and at last do not move them.
@@ -370,7 +266,7 @@ class _Refit:
         any_marked = self._holds.any_marked
         # Only where the host need not wait.
         if device_traits(self._device).own_memory or any_marked.numpy()[0]:
-            self._holds.take(self._solve(any_marked), self._correction)
+            self._holds.take(self._equations.solve(self._holds, any_marked), self._correction)
 
     def _scale(self, marked: np.ndarray, share: float) -> None:
         """Let some vertices (C,) bool go a share of their way."""
@@ -394,7 +290,7 @@ class _Refit:
         attempt = 0
         while attempt < ATTEMPTS:
             begun = self._looks_ahead(attempt)
-            *held, last = Look.from_numbers((yield begun))
+            *held, last = FarLook.from_numbers((yield begun))
             attempt += sum(self._is_complete(look) and 0 < look.far_count <= self._far_places.few for look in held)
             if not last.has_area:
                 return True
@@ -406,12 +302,12 @@ class _Refit:
                 if last.far_count > self._far_places.few:
                     # The surfaces as they were looked at, so that others adapt to what is held.
                     self._matching.find(reach, search=True)
-                    self._assemble()
+                    self._equations.assemble(self._matching, self._keys, self._sizes, self._correction, self._far)
                 self._hold_far(begun[-int(kernels.LOOK) :], attempt, many=True)
                 attempt += 1
         for share in SHARES:
             while True:
-                (look,) = Look.from_numbers((yield self._look()))
+                (look,) = FarLook.from_numbers((yield self._look()))
                 if not look.has_area or self._is_complete(look):
                     break
                 self._complete(look)
@@ -442,11 +338,11 @@ class _Refit:
         self._stiffen(self._far_places.to_hold(far, look, room, attempt, many=many))
         self.hold_back()
 
-    def _is_complete(self, look: Look) -> bool:
+    def _is_complete(self, look: FarLook) -> bool:
         """Whether vertices were held back before as far as it takes, and there was room for all that is looked at."""
         return not look.any_held and look.large_count <= self._limits.room
 
-    def _complete(self, look: Look) -> None:
+    def _complete(self, look: FarLook) -> None:
         """Do what a look lacked."""
         if look.any_held:
             self.hold_back()
