@@ -65,6 +65,6 @@ def test_many_vertices_are_held_only_where_that_is_asked_for(places, device):
     assert (places.to_hold(far, look, 0, 0, many=True).numpy() != 0).sum() == len(vertices)
 
 
-def test_a_look_tells_the_host_what_it_found(places, device):
+def test_host_reads_what_looks_found(places, device):
     looks = np.concatenate([looked_at(places, vertices, device, 1, 0, 7)[1].numpy() for vertices in ([], [1, 2])])
     assert FarLook.from_numbers(looks) == [FarLook(0, True, False, 7), FarLook(2, True, False, 7)]

@@ -27,7 +27,7 @@ from warpqem.place.frame_store import AnyFrameStore, DeviceFrameStore
 from warpqem.place.place import Placer
 from warpqem.refit.component_limits import ComponentLimits
 from warpqem.refit.far_places import FarLook, FarPlaces
-from warpqem.refit.fit_under_way import FitUnderWay, Settling
+from warpqem.refit.fit_under_way import FitSteps, FitUnderWay
 from warpqem.refit.holds import Holds
 from warpqem.refit.matching import Matching, make_surface
 from warpqem.refit.material_frames import MaterialFrames
@@ -182,7 +182,7 @@ class _Refit:
         self._holds = Holds(placer.on_seam, device)
         self._correction = new_arrays.zeros(self._vertex_count, dtype=wp.vec3, device=device)
         self._far_places = FarPlaces(
-            self._corner_vertex, self._vertex_count, _share_of(self._vertex_count, MANY_FAR), device
+            self._corner_vertex, self._vertex_count, int(MANY_FAR * self._vertex_count), device
         )
         self._limits = ComponentLimits(
             self._matching,
@@ -281,8 +281,8 @@ class _Refit:
                 device=self._device,
             )
 
-    def settle(self, reach: float) -> Settling:
-        """Hold back what comes further away than any of its component was as placed, see :data:`Settling`.
+    def settle(self, reach: float) -> FitSteps:
+        """Hold back what comes further away than any of its component was as placed, see :data:`FitSteps`.
 
         Args:
             reach: as in :meth:`improve`.
@@ -368,8 +368,3 @@ class _Refit:
         """Mark vertices (C,) int32 that have a part in a face that turns over in some frame."""
         for block in self._all_frames.all():
             block.mark_new_flips(self._correction, self._corner_vertex, marks)
-
-
-def _share_of(count: int, share: float) -> int:
-    """The most of ``count`` that is no more than a share of them."""
-    return int(np.count_nonzero(np.arange(1, count + 1) / count <= share))

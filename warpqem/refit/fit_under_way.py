@@ -1,4 +1,4 @@
-"""A fit whose last corrections come along with what tells the host that they are final."""
+"""A fit whose last corrections come along with what says to the host that they are final."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import warp as wp
 
 from warpqem.place.block_placer import PlacedFrames
 
-__all__ = ["FitUnderWay", "Settling"]
+__all__ = ["FitSteps", "FitUnderWay"]
 
 # Yields numbers on the device for the host to read, and is sent them; returns whether the last ones changed nothing.
-Settling = Generator[wp.array, np.ndarray, bool]
+FitSteps = Generator[wp.array, np.ndarray, bool]
 
 
 class FitUnderWay:
@@ -20,21 +20,21 @@ class FitUnderWay:
 
     Args:
         apply: moves placed frames by the corrections as they are now.
-        settling: goes on with them; None where they are final.
+        steps: goes on with them; None where they are final.
 
     Attributes:
         pending: (n,) int32 on the device, what the host is to read; None where the corrections are final.
     """
 
-    def __init__(self, apply: Callable[[PlacedFrames], PlacedFrames], settling: Settling | None = None) -> None:
-        self.apply, self._settling = apply, settling
-        self.pending: wp.array | None = None if settling is None else next(settling)
+    def __init__(self, apply: Callable[[PlacedFrames], PlacedFrames], steps: FitSteps | None = None) -> None:
+        self.apply, self._steps = apply, steps
+        self.pending: wp.array | None = None if steps is None else next(steps)
 
     def stands(self, numbers: np.ndarray) -> bool:
         """Whether what was moved before is final, by what ``pending`` holds; else corrections are others now."""
-        assert self._settling is not None
+        assert self._steps is not None
         try:
-            self.pending = self._settling.send(numbers)
+            self.pending = self._steps.send(numbers)
         except StopIteration as end:
             self.pending = None
             return bool(end.value)
