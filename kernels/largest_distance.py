@@ -1,12 +1,12 @@
-"""The largest distance between two surfaces in several frames at once, by branch and bound.
+"""The largest distance between two surfaces in several cells at once, by branch and bound.
 
-Frames are cells of one mesh, as in :mod:`warpqem.kernels.surface_distance`. The distance to one face is convex, so over
-a piece of a triangle it is at most the largest at the piece's corners. The search is done with a piece where one face
-shows that the piece holds nothing larger than what was found, and cuts the other pieces where a face near to their
-middle ends, or where another one becomes the nearer one. That face is walked to from a neighbouring piece's; the whole
-mesh is searched only where a point may be beyond what was found. Pieces stay good pieces while the mesh moves: those of
-the frames before, the patches, are what the search starts from in the next ones, and most of them need none there, as
-:mod:`warpqem.kernels.distance_screen` shows.
+Cells are frames of a mesh, or meshes, as in :mod:`warpqem.kernels.surface_distance`. The distance to one face is
+convex, so over a piece of a triangle it is at most the largest at the piece's corners. The search is done with a piece
+where one face shows that the piece holds nothing larger than what was found, and cuts the other pieces where a face
+near to their middle ends, or where another one becomes the nearer one. That face is walked to from a neighbouring
+piece's; the whole mesh is searched only where a point may be beyond what was found. Pieces stay good pieces while the
+mesh moves: those of the frames before, the patches, are what the search starts from in the next ones, and most of them
+need none there, as :mod:`warpqem.kernels.distance_screen` shows.
 """
 
 import warp as wp
@@ -14,6 +14,7 @@ import warp as wp
 from warpqem.kernels.near_faces import (
     ANYWHERE,
     HINTS,
+    CellTable,
     Faces,
     NearFace,
     Surface,
@@ -22,6 +23,7 @@ from warpqem.kernels.near_faces import (
     exactly_nearest,
     face_towards,
     nearer_face,
+    of_cell,
     squared_distance,
     with_face,
     with_first,
@@ -47,18 +49,20 @@ MANY_PIECES = wp.constant(wp.int32(256))
 AS_NEAR = wp.constant(wp.float64(1.0e-9))
 Waiting = wp.types.matrix(shape=(int(MAX_WAITING), 6), dtype=wp.float64)
 WaitingFaces = wp.types.vector(length=int(MAX_WAITING), dtype=wp.int32)
-# Patches that a thread takes one after the other: the next one mostly lies beside the one before, over the same face.
+# Patches that a thread takes one after the other at most: the next one mostly lies beside the one before, over the same
+# face.
 RUN = wp.constant(wp.int32(16))
 
 
 @wp.struct
 class SearchItems:
-    """Patches, each to be searched in one frame: parts of the faces of a mesh."""
+    """Patches, each to be searched in one cell: parts of the faces of a mesh."""
 
-    face: wp.array[wp.int32]  # (n,)
+    face: wp.array[wp.int32]  # (n,) counted from the first one of the cell
     place: wp.array2d[wp.float64]  # (n, 6), barycentric coordinates of corners 1 and 2 of the face, at three corners
     hint: wp.array2d[wp.int32]  # (n, HINTS), faces of the other mesh that were near before, -1 for none
-    frame: wp.array[wp.int32]  # (n,)
+    cell: wp.array[wp.int32]  # (n,)
+    run: wp.array[wp.int32]  # (R+1,) where each run of patches begins that a thread takes, and the last one ends
 
 
 @wp.struct
@@ -324,9 +328,9 @@ def search_patch(
 def largest_distances(
     # in
     own: Surface,
-    other: Surface,
-    own_count: wp.int32,
-    other_count: wp.int32,
+    others: Surface,
+    own_cells: CellTable,
+    other_cells: CellTable,
     floor: wp.array[wp.float64],
     items: SearchItems,
     part: wp.int32,
@@ -338,24 +342,25 @@ def largest_distances(
     high_out: wp.array[wp.float64],
     hint_out: wp.array2d[wp.int32],
 ):
-    """The largest distance of each patch of ``own`` from ``other``, where that is beyond the floor (F,) of its frame.
+    """The largest distance of each patch of ``own`` from ``others``, where that is beyond the floor (C,) of its cell.
 
     No point of the patch is further than the larger of ``low`` and ``high``, and one is at ``low``, if that is above
     the floor. ``high`` is above ``low`` by no more than the tolerance, but where a patch was given up. The pieces that
     the patches were cut into are kept in the order they are found. ``hint_out`` are faces that were near last.
     """
     run = first_run + wp.tid()
-    item_count = items.face.shape[0]
     hints = Faces()
     for k in range(HINTS):
         hints[k] = wp.int32(-1)
-    for item in range(run * RUN, wp.min((run + 1) * RUN, item_count)):
+    for item in range(items.run[run], items.run[run + 1]):
         if items.hint[item, 0] >= 0:
             for k in range(HINTS):
                 hints[k] = items.hint[item, k]
-        frame = items.frame[item]
-        face = frame * own_count + items.face[item]
-        found = search_patch(own, other, face, frame * other_count, items, item, floor[frame], hints, part, pieces)
+        cell = items.cell[item]
+        face = own_cells.first_face[cell] + items.face[item]
+        first = other_cells.first_face[cell]
+        other = of_cell(others, other_cells, cell)
+        found = search_patch(own, other, face, first, items, item, floor[cell], hints, part, pieces)
         hints = found.hints
         low_out[item] = found.low
         high_out[item] = found.high

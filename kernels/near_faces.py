@@ -30,6 +30,25 @@ class Surface:
     corner_vertex: wp.array[wp.int32]
     across: wp.array[wp.int32]  # (3N,) the face beyond the edge from each corner to the next, -1 at a border
     mesh: wp.uint64  # its hierarchy, in single precision
+    first: wp.int32  # the face that is the first one of the hierarchy
+
+
+@wp.struct
+class CellTable:
+    """Where cells begin that are one surface together: a mesh in several frames, or several meshes."""
+
+    first_face: wp.array[wp.int32]  # (C+1,) the first face of each, and behind them how many there are
+    mesh: wp.array[wp.uint64]  # (C,) the hierarchy of each; that of a mesh in several frames holds all of them
+    mesh_first: wp.array[wp.int32]  # (C,) the face that is the first one of the hierarchy
+
+
+@wp.func
+def of_cell(surface: Surface, cells: CellTable, cell: wp.int32) -> Surface:
+    """A surface with the hierarchy of one of its cells."""
+    found = surface
+    found.mesh = cells.mesh[cell]
+    found.first = cells.mesh_first[cell]
+    return found
 
 
 @wp.func
@@ -94,7 +113,7 @@ def nearest_face(surface: Surface, p: wp.vec3d, limit: wp.float64) -> wp.int32:
         surface.mesh, wp.vec3(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2])), radius
     )
     if found.result:
-        return found.face
+        return surface.first + found.face
     return -1
 
 
@@ -108,8 +127,8 @@ def nearer_face(other: Surface, best: wp.int32, best_squared: wp.float64, p: wp.
     nearest = best
     if found.result:  # noqa: SIM102 - a kernel evaluates both sides of an "and", and there may be no face
         # In single precision, the search may prefer the other one of two faces.
-        if squared_distance(other, found.face, p) < best_squared:
-            nearest = found.face
+        if squared_distance(other, other.first + found.face, p) < best_squared:
+            nearest = other.first + found.face
     return nearest
 
 
@@ -122,8 +141,9 @@ def exactly_nearest(other: Surface, near: wp.int32, squared: wp.float64, p: wp.v
     reach = wp.float32(wp.sqrt(squared) + SEARCH_MARGIN)
     extent = wp.vec3(reach, reach, reach)
     query = wp.mesh_query_aabb(other.mesh, centre - extent, centre + extent)
-    face = wp.int32(0)
-    while wp.mesh_query_next(query, face):
+    here = wp.int32(0)
+    while wp.mesh_query_next(query, here):
+        face = other.first + here
         found = squared_distance(other, face, p)
         if found < best_squared or (found == best_squared and face < best):
             best = face

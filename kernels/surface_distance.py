@@ -1,6 +1,7 @@
-"""Distances between two surfaces in several frames at once at samples, and faces that oppose the other surface.
+"""Distances between two surfaces in several cells at once at samples, and faces that oppose the other surface.
 
-The frames of a mesh are cells of one mesh, so far apart that the nearest face of a point is one of its own cell.
+Cells are the frames of a mesh, so far apart that the nearest face of a point is one of its own cell, or several meshes
+in one frame, each with a hierarchy of its own.
 """
 
 import warp as wp
@@ -8,10 +9,12 @@ import warp as wp
 from warpqem.kernels.near_faces import (
     ANYWHERE,
     SEARCH_MARGIN,
+    CellTable,
     Surface,
     corner_point,
     exactly_nearest,
     nearer_face,
+    of_cell,
     squared_distance,
 )
 from warpqem.kernels.piece_cuts import Corners
@@ -63,8 +66,9 @@ def side_facing(other: Surface, near: wp.int32, squared: wp.float64, p: wp.vec3d
         reach = wp.float32(distance + SEARCH_MARGIN)
         extent = wp.vec3(reach, reach, reach)
         query = wp.mesh_query_aabb(other.mesh, centre - extent, centre + extent)
-        face = wp.int32(0)
-        while wp.mesh_query_next(query, face):
+        here = wp.int32(0)
+        while wp.mesh_query_next(query, here):
+            face = other.first + here
             normal_there = face_normal(other, face)
             if found == near and wp.dot(normal, normal_there) > wp.float64(0.0):
                 away = wp.sqrt(squared_distance(other, face, p)) - distance
@@ -79,11 +83,13 @@ def side_facing(other: Surface, near: wp.int32, squared: wp.float64, p: wp.vec3d
 def sample_distances(
     # in
     own: Surface,
-    other: Surface,
+    others: Surface,
+    own_cells: CellTable,
+    other_cells: CellTable,
     sample_face: wp.array[wp.int32],
     sample_place: wp.array[wp.vec2d],
-    own_count: wp.int32,
-    other_count: wp.int32,
+    first_cell: wp.int32,
+    cell_samples: wp.int32,
     hint: wp.array[wp.int32],
     first_sample: wp.int32,
     # out
@@ -93,22 +99,28 @@ def sample_distances(
 ):
     """Distance of samples from the other surface, and the angle between the normals of both faces, in degrees.
 
+    There are ``cell_samples`` in each cell from ``first_cell`` on; faces are counted from the first one of the cell.
     ``sample_place`` (S,) are the barycentric coordinates of the second and third corner. Of a surface with two sides on
     the same points, the one that faces the sample's way counts. A distance is -1 where the search finds no face of the
-    sample's cell, as all of them are slivers. ``hint`` (N,) are faces of one cell of ``other`` that may be near to each
-    face of ``own``, -1 for none: they bound the search, and decide nothing.
+    sample's cell, as all of them are slivers. ``hint`` (N,) are faces of one cell of ``others`` that may be near to
+    each face of ``own``, -1 for none: they bound the search, and decide nothing. It may be empty.
     """
     i = first_sample + wp.tid()
-    face = sample_face[i]
+    cell = first_cell + i / cell_samples
+    other = of_cell(others, other_cells, cell)
+    first = other_cells.first_face[cell]
+    face = own_cells.first_face[cell] + sample_face[i]
     place = sample_place[i]
     a = corner_point(own, face, 0)
     b = corner_point(own, face, 1)
     c = corner_point(own, face, 2)
     p = a + place[0] * (b - a) + place[1] * (c - a)
     radius = SEARCH_RADIUS
-    known = hint[face % own_count]
+    known = wp.int32(-1)
+    if hint.shape[0] > 0:
+        known = hint[sample_face[i]]
     if known >= 0:
-        known += (face / own_count) * other_count
+        known += first
         radius = wp.float32(wp.sqrt(squared_distance(other, known, p)) + SEARCH_MARGIN)
     centre = wp.vec3(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2]))
     found = wp.mesh_query_point_no_sign(other.mesh, centre, radius)
@@ -120,10 +132,10 @@ def sample_distances(
     angle_out[i] = wp.float64(0.0)
     # Cells are so far apart that a face of another one is the nearest only where there is none here.
     is_here = wp.bool(False)
+    nearest = other.first + found.face
     if found.result:
-        is_here = found.face / other_count == face / own_count
+        is_here = nearest >= first and nearest < other_cells.first_face[cell + 1]
     if is_here:
-        nearest = found.face
         squared = squared_distance(other, nearest, p)
         if squared < EXACT_BELOW * EXACT_BELOW:
             nearest = exactly_nearest(other, nearest, squared, p)
@@ -131,7 +143,7 @@ def sample_distances(
         distance_out[i] = wp.sqrt(squared)
         normal = face_normal(own, face)
         near = side_facing(other, nearest, squared, p, normal)
-        near_out[i] = near
+        near_out[i] = near - first
         # A face without area has no normal, which counts as a right angle.
         cosine = wp.dot(wp.normalize(normal), wp.normalize(face_normal(other, near)))
         angle_out[i] = wp.degrees(wp.acos(wp.clamp(cosine, wp.float64(-1.0), wp.float64(1.0))))
@@ -141,9 +153,10 @@ def sample_distances(
 def find_flips(
     # in
     own: Surface,
-    other: Surface,
-    own_count: wp.int32,
-    other_count: wp.int32,
+    others: Surface,
+    own_cells: CellTable,
+    other_cells: CellTable,
+    face_cell: wp.array[wp.int32],
     frame_count: wp.int32,
     smallest: wp.float64,
     # in and out
@@ -155,14 +168,19 @@ def find_flips(
 ):
     """The face that each face with more than the smallest area opposes, where it does: the one nearest to its middle.
 
-    -1 for the others. Of a surface with two sides on the same points, a face opposes neither. ``nearest`` (N,) is the
-    nearest face when it was last looked for, -1 for none; it bounds the search.
+    -1 for the others. Of a surface with two sides on the same points, a face opposes neither. ``face_cell`` (N,) is the
+    cell of each face in the first frame; those of the next frames follow. ``nearest`` (N,) is the nearest face when it
+    was last looked for, -1 for none; it bounds the search. Faces of ``others`` are counted from the first one of the
+    cell.
     """
     face = first_face + wp.tid()
     near = nearest[face]
+    place = face - own_cells.first_face[face_cell[face]]
     for frame in range(frame_count):
-        cell_face = frame * own_count + face
-        first = frame * other_count
+        cell = face_cell[face] + frame
+        cell_face = own_cells.first_face[cell] + place
+        other = of_cell(others, other_cells, cell)
+        first = other_cells.first_face[cell]
         opposed_out[frame, face] = wp.int32(-1)
         normal = face_normal(own, cell_face)
         if wp.float64(0.5) * wp.length(normal) > smallest:

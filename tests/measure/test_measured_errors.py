@@ -16,6 +16,7 @@ from warpqem.arguments.figures import rounded_up
 from warpqem.cli.main import app
 from warpqem.errors import DegenerateMeshError, UnreachableTargetError
 from warpqem.measure import LIMITS, Measured, compare
+from warpqem.measure.cells import Joined
 from warpqem.measure.closest_points import ClosestPointSearch
 from warpqem.measure.surfaces import SurfaceComparison, sample_count
 from warpqem.usd import CompareOptions, SimplifyOptions, compare_stages, simplify_stage
@@ -277,7 +278,9 @@ def test_mesh_that_ends_far_off_is_warned_of_and_stands_first(cloth):
 
 def test_groups_of_frames_are_bounded_by_faces_and_frames():
     sizes = [
-        SurfaceComparison(np.tile([[0, 1, 2]], (count, 1)), np.array([[0, 1, 2]]), frames, 1, 0, "cpu").group
+        SurfaceComparison(
+            Joined.single(np.tile([[0, 1, 2]], (count, 1))), Joined.single(np.array([[0, 1, 2]])), frames, 1, 0, "cpu"
+        ).group
         for count, frames in ((10, 5), (400, 5000), (20000, 48))
     ]
     assert sizes == [5, 32, 8]

@@ -16,6 +16,7 @@ from tests.support import meshes
 from warpqem.errors import OptionError
 from warpqem.measure import compare
 from warpqem.usd import SimplifyOptions, simplify_stage
+from warpqem.usd.commands import measuring
 from warpqem.usd.commands.option_values import read_options
 
 Mesh = tuple[np.ndarray, np.ndarray]
@@ -252,3 +253,50 @@ def test_varying_mesh_counts_by_the_mean_of_its_frames(tmp_path):
     assert after == pytest.approx(0.3 * before, abs=3)
     runs = next(prim.runs for prim in report.prims if prim.runs)
     assert all(4 <= run.faces_after < run.faces_before for run in runs)
+
+
+def balls(count: int) -> list[Mesh]:
+    shape = trimesh.creation.icosphere(subdivisions=2)
+    return [(shape.vertices * (1.0, 1.0, 1.0 + 0.1 * index), shape.faces) for index in range(count)]
+
+
+def figures(report: Any) -> list[Any]:
+    return [prim.measured for prim in report.prims]
+
+
+def test_small_meshes_that_wait_for_each_other_have_the_errors_of_each_alone(tmp_path, monkeypatch):
+    together = run(tmp_path, balls(5), ratio=0.25)
+    monkeypatch.setattr(measuring, "SMALL_FACES", 0)
+    assert figures(run(tmp_path, balls(5), ratio=0.25)) == figures(together)
+    assert all(found["frame_count"] == 1 for found in figures(together))
+
+
+def test_no_more_small_meshes_wait_than_are_measured_together(tmp_path, monkeypatch):
+    measured, measure = [], measuring.measure_together
+
+    def counted(pairs, **options):
+        measured.append(len(pairs))
+        return measure(pairs, **options)
+
+    monkeypatch.setattr(measuring, "measure_together", counted)
+    monkeypatch.setattr(measuring, "MAX_TOGETHER", 2)
+    report = run(tmp_path, balls(5), ratio=0.25)
+    assert measured == [2, 2, 1]
+    assert all(report.prims[index].measured for index in range(5))
+
+
+def test_unexpected_error_of_measuring_is_the_failure_of_its_mesh(tmp_path, monkeypatch):
+    measure = measuring.measure_together
+
+    def broken(pairs, **options):
+        if any(np.ptp(pair.reference[0, :, 2]) == pytest.approx(2.2) for pair in pairs):
+            raise IndexError("odd")
+        return measure(pairs, **options)
+
+    monkeypatch.setattr(measuring, "measure_together", broken)
+    report = run(tmp_path, balls(4), ratio=0.25)
+    assert [prim.status for prim in report.prims] == ["simplified", "failed", "simplified", "simplified"]
+    assert report.prims[1].message == "/S/M1: unexpected error while measuring: IndexError: odd"
+    monkeypatch.undo()
+    whole = figures(run(tmp_path, balls(4), ratio=0.25))
+    assert figures(report) == [whole[0], None, *whole[2:]]

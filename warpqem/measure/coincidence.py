@@ -9,7 +9,7 @@ __all__ = ["coincident"]
 
 
 def coincident(points: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:
-    """(V,) the first vertex at the place of each in all frames of (K, V, 3)."""
+    """(V,) the first vertex at the place of each in all frames of (K, V, 3), or of more numbers than three."""
     rows = points.transpose(1, 0, 2).reshape(points.shape[1], -1)
     order = np.lexsort(rows.T)
     new = np.ones(len(rows), dtype=bool)

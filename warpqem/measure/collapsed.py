@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -27,21 +28,60 @@ __all__ = [
 STEPS = 8
 # A face lower than this part of its longest edge is a line: single precision leaves about as much.
 LINE_HEIGHT = 1e-7
+# A face higher than this part of its longest edge is none, however its height is worked out.
+WIDE_HEIGHT = 1e-5
 # Faces and points that are looked at first, evenly spread: nearly always one of them settles a frame.
 FIRST = 64
 
 Flags = npt.NDArray[np.bool_]
 
 
-def collapsed_frames(points: npt.NDArray[Any], faces: npt.NDArray[np.integer]) -> Flags:
+def collapsed_frames(
+    points: npt.NDArray[Any], faces: npt.NDArray[np.integer], first_face: npt.NDArray[np.integer] | None = None
+) -> Flags:
     """Whether all used points of a frame lie on one line or are the same, up to rounding, or no face has an area, (n,).
 
     Args:
         points: (n, V, 3).
         faces: (N, 3); vertices that none of them uses do not count.
+        first_face: (M+1,) where each of several meshes begins, and the last one ends: then it is whether one of them is
+            so; None for one mesh.
     """
+    if first_face is not None and len(first_face) > 2:
+        return _collapsed_meshes(points, faces, first_face)
+    few = faces[:: -(-len(faces) // FIRST)]
+    stands = np.array([_are_wide(frame, few).any() for frame in points], dtype=bool)
+    if stands.all():
+        return ~stands
     used = np.unique(faces)
     return np.array([_holds(_is_flat, frame, faces) or _holds(_is_line, frame, used) for frame in points], dtype=bool)
+
+
+def _collapsed_meshes(
+    points: npt.NDArray[Any], faces: npt.NDArray[np.integer], first_face: npt.NDArray[np.integer]
+) -> Flags:
+    """Whether one of several meshes is collapsed, (n,)."""
+    wide = np.array([_are_wide(frame, faces) for frame in points])
+    if np.logical_or.reduceat(wide, first_face[:-1], axis=1).all():
+        return np.zeros(len(points), dtype=bool)
+    parts = [faces[first:last] for first, last in itertools.pairwise(first_face.tolist())]
+    collapsed: Flags = np.logical_or.reduce([collapsed_frames(points, part) for part in parts])
+    return collapsed
+
+
+def _are_wide(points: npt.NDArray[Any], faces: npt.NDArray[np.integer]) -> Flags:
+    """Whether faces (N, 3) are so wide that points (V, 3) with one of them are surely not collapsed, (N,).
+
+    A face between points that are within a distance of a line is no higher than twice that.
+    """
+    a, b, c = points[faces.T].astype(np.float64)
+    one, two = b - a, c - b
+    along, across, between = (np.einsum("fi,fi->f", *pair) for pair in ((one, one), (two, two), (one, two)))
+    longest = np.maximum(np.maximum(along, across), along + across + 2.0 * between)
+    area = along * across - between**2
+    height = 4.0 * _rounding(float(np.abs(points).max()))
+    wide: Flags = (area > (WIDE_HEIGHT * longest) ** 2) & (area > height**2 * longest)
+    return wide
 
 
 def _holds(

@@ -38,20 +38,26 @@ class _Direction:
     def __init__(self, own: Cells, other: Cells, device: str) -> None:
         self.own, self.other, self._device = own, other, device
         # Rows beyond the count are room for more.
-        self._patches, self._count = Patches.whole(own.face_count), own.face_count
+        self._patches, self._count = Patches.whole(own.first_face), own.face_count
         self._bound = np.empty((0, 0), dtype=np.float32)
         self._points: tuple[wp.array, wp.array] | None = None
-        self.leading = Patches.whole(0)
+        self.leading = self._patches.rows(slice(0))
         self._most = 0
         # The least that was known in a frame of the block before.
         self.enough = 0.0
         self.near_face = new_arrays.full(own.face_count, -1, dtype=wp.int32, device=device)
 
     def search_all(self, floor: Doubles, *, cut: bool) -> Found:
-        """Search all patches in the first cell."""
-        first = np.zeros(self._count, dtype=np.int32)
+        """Search all patches in the first frame."""
+        cell = np.zeros(self._count, dtype=np.int32) if self.own.mesh_count == 1 else self.own.mesh_of_face
         patches = self._patches.rows(slice(self._count))
-        return search_patches(self.own, self.other, patches, first, floor, self._device, cut=cut)
+        return search_patches(self.own, self.other, patches, cell, floor, self._device, cut=cut)
+
+    def raise_to_all(self, found: Doubles, bound: Doubles) -> None:
+        """Search all patches in the first frame, and note what each cell holds: what is found, and what bounds it."""
+        result, cell = self.search_all(found, cut=False), self.own.mesh_of_face
+        np.maximum.at(found, cell, result.low)
+        np.maximum.at(bound, cell, result.high)
 
     def cut_first(self, floor: float) -> float:
         """Cut the faces so that each patch is near one face in the first cell; the largest distance, or the floor."""
@@ -216,17 +222,19 @@ class LargestDistance:
     def find(self, frames: slice, sampled: Doubles) -> Doubles:
         """The largest distance in frames of the block that the cells show, (n,); some are known from samples (n,).
 
+        Of several meshes in one frame it is that of each mesh.
+
         It is no smaller than that of any point, and at most a thousandth larger than that of one. Where only the
         largest of all frames is asked for, that of a frame is no smaller than in the frames before.
         """
+        if self._frame_count == 1:
+            found, bound = sampled.copy(), sampled.copy()
+            for way in self._ways:
+                way.raise_to_all(found, bound)
+            return np.maximum(found, bound)
         if self._overall:
             sampled = np.full_like(sampled, max(self._largest, float(sampled.max())))
         found, bound = sampled.copy(), sampled.copy()
-        if self._frame_count == 1:
-            for way in self._ways:
-                result = way.search_all(found, cut=False)
-                found, bound = np.maximum(found, result.low.max()), np.maximum(bound, result.high.max())
-            return np.maximum(found, bound)
         if not self._is_cut:
             self._begin(found)
             self._is_cut = True

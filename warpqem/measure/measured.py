@@ -10,7 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from warpqem.arguments.json_types import Json
+from warpqem.errors import DegenerateMeshError
 from warpqem.frames.stream import FrameSink, FrameSource
+from warpqem.measure.cells import Joined
 from warpqem.measure.surfaces import SurfaceComparison, sample_count
 from warpqem.measure.verdict import Verdict, verdict_of
 from warpqem.runtime.device import device_turn
@@ -20,9 +22,11 @@ __all__ = [
     "FrameReader",
     "Measured",
     "MeasuringSink",
+    "StillPair",
     "first_frames",
     "joined_errors",
     "measure_frames",
+    "measure_together",
     "measured_errors",
 ]
 
@@ -110,16 +114,16 @@ def first_frames(parts: Sequence[Measured]) -> list[int]:
     return np.cumsum([0, *counts[:-1]]).tolist()
 
 
-def measured_errors(comparison: SurfaceComparison) -> Measured:
-    """The errors over all frames of a comparison that is done.
+def measured_errors(comparison: SurfaceComparison, mesh: int = 0) -> Measured:
+    """The errors over all frames of a comparison that is done; of one of its meshes.
 
     Raises:
         DegenerateMeshError: a mesh is collapsed to a point or a line in all of them.
     """
-    frames, diagonal = comparison.per_frame(), comparison.diagonals()
+    frames, diagonal = comparison.per_frame(mesh), comparison.diagonals(mesh)
     # A frame in which the reference is a point has no size of its own.
     apart = 100.0 * max(comparison.collapsed.values(), default=0.0) / float(diagonal.max())
-    hausdorff = max(comparison.largest(), apart)
+    hausdorff = max(comparison.largest(mesh), apart)
     return Measured(
         rms=float(frames.rms.mean()),
         rms_forward=float(frames.rms_forward.mean()),
@@ -132,7 +136,7 @@ def measured_errors(comparison: SurfaceComparison) -> Measured:
         hausdorff_length=hausdorff * float(diagonal.max()) / 100.0,
         sample_count=comparison.sample_count,
         frame_count=len(frames.frame),
-        test_faces=comparison.test_faces,
+        test_faces=int(comparison.test_faces[mesh]),
         collapsed_frames=tuple(comparison.collapsed),
     )
 
@@ -177,7 +181,8 @@ def measure_frames(
     """
     if samples is None:
         samples = sample_count(len(frames), max(len(reference_faces), len(test_faces)))
-    comparison = SurfaceComparison(reference_faces, test_faces, len(frames), samples, seed, device, overall=overall)
+    meshes = Joined.single(reference_faces), Joined.single(test_faces)
+    comparison = SurfaceComparison(*meshes, len(frames), samples, seed, device, overall=overall)
     for first in range(0, len(frames), comparison.group):
         some = frames[first : first + comparison.group]
         if some[-1] - some[0] == len(some) - 1:
@@ -188,6 +193,59 @@ def measure_frames(
         if progress is not None:
             progress(first + len(some), len(frames))
     return comparison
+
+
+@dataclass(frozen=True)
+class StillPair:
+    """A mesh in one frame, and what it is measured against.
+
+    Attributes:
+        reference: (1, V, 3) points of the reference.
+        reference_faces: (N, 3).
+        test: (1, W, 3) points of the test mesh.
+        test_faces: (M, 3).
+        frame: the number of the frame.
+    """
+
+    reference: npt.NDArray[Any]
+    reference_faces: npt.NDArray[np.integer]
+    test: npt.NDArray[Any]
+    test_faces: npt.NDArray[np.integer]
+    frame: int
+
+    @property
+    def samples(self) -> int:
+        """Samples on each of the two surfaces."""
+        return sample_count(1, max(len(self.reference_faces), len(self.test_faces)))
+
+
+def measure_together(pairs: Sequence[StillPair], *, device: str) -> list[Measured | DegenerateMeshError]:
+    """The errors of each of several pairs of meshes, as :func:`measure_frames` gives them of one alone, to the bit.
+
+    Small meshes take the host longer than the device, and many together hardly longer than one.
+
+    Args:
+        pairs: meshes of as many samples, and of one number of the frame.
+        device: Warp device.
+
+    Returns:
+        The errors of each, or why there are none.
+    """
+    try:
+        sides = (
+            ([pair.reference for pair in pairs], [pair.reference_faces for pair in pairs]),
+            ([pair.test for pair in pairs], [pair.test_faces for pair in pairs]),
+        )
+        joined = [Joined.of(faces, [points.shape[1] for points in given]) for given, faces in sides]
+        first = pairs[0]
+        comparison = SurfaceComparison(joined[0], joined[1], 1, first.samples, 0, device, overall=True)
+        comparison.add([first.frame], *(np.concatenate(given, axis=1) for given, _ in sides))
+        return [measured_errors(comparison, mesh) for mesh in range(len(pairs))]
+    except DegenerateMeshError as error:
+        if len(pairs) == 1:
+            return [error]
+        # One has no errors, or only a distance: the others have no part in it.
+        return [found for pair in pairs for found in measure_together([pair], device=device)]
 
 
 class MeasuringSink:
@@ -213,9 +271,8 @@ class MeasuringSink:
         self._frame_count, self._done, self._waiting = frame_count, 0, None
         samples = sample_count(frame_count, max(len(self._faces), len(faces)))
         with device_turn(self._device):
-            self._comparison = SurfaceComparison(
-                self._faces, faces, frame_count, samples, 0, self._device, overall=True
-            )
+            meshes = Joined.single(self._faces), Joined.single(faces)
+            self._comparison = SurfaceComparison(*meshes, frame_count, samples, 0, self._device, overall=True)
 
     def write(self, frames: slice, points: npt.NDArray[np.float32]) -> None:
         """Pass on consecutive frames, and measure those that fill a group; what is left waits for the next call."""

@@ -42,7 +42,7 @@ class Patches:
     """Parts of the faces of a mesh that together are the whole of it, in all frames.
 
     Attributes:
-        face: (P,) int32.
+        face: (P,) int32, counted from the first one of the mesh.
         place: (P, 6) float64, barycentric coordinates of corners 1 and 2 of the face, at three corners.
         hint: (P, HINTS) int32, faces of the other mesh that were near before, the last one first, -1 for none.
     """
@@ -55,11 +55,15 @@ class Patches:
         return len(self.face)
 
     @classmethod
-    def whole(cls, face_count: int) -> Patches:
-        """The faces themselves, of which nothing is known."""
+    def whole(cls, first_face: Ints) -> Patches:
+        """The faces themselves, of which nothing is known, of meshes that begin at some (M+1,)."""
+        face_count = int(first_face[-1])
+        face = np.arange(face_count, dtype=np.int32)
+        if len(first_face) > 2:
+            face -= np.repeat(first_face[:-1], np.diff(first_face)).astype(np.int32)
         place = np.tile([0.0, 0.0, 1.0, 0.0, 0.0, 1.0], (face_count, 1))
         hint = np.full((face_count, int(HINTS)), -1, dtype=np.int32)
-        return cls(np.arange(face_count, dtype=np.int32), place, hint)
+        return cls(face, place, hint)
 
     @classmethod
     def joined(cls, parts: Sequence[Patches]) -> Patches:
@@ -147,8 +151,9 @@ def vertex_distances(own: Cells, other: Cells, device: str) -> tuple[Doubles, In
     place = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])[corner % 3]
     distance, angle = (new_arrays.empty(len(corner), dtype=wp.float64, device=device) for _ in range(2))
     face = new_arrays.uploaded(corner // 3, dtype=wp.int32, device=device)
-    inputs = [own.surface, other.surface, face, new_arrays.uploaded(place, dtype=wp.vec2d, device=device)]
-    inputs += [own.face_count, other.face_count, new_arrays.full(own.face_count, -1, dtype=wp.int32, device=device)]
+    inputs = [own.surface, other.surface, own.table, other.table]
+    inputs += [face, new_arrays.uploaded(place, dtype=wp.vec2d, device=device), 0, len(corner)]
+    inputs.append(new_arrays.empty(0, dtype=wp.int32, device=device))
     near = new_arrays.empty(len(corner), dtype=wp.int32, device=device)
     launch_in_parts(
         surface_distance.sample_distances,
@@ -165,44 +170,48 @@ def search_patches(
     own: Cells,
     other: Cells,
     patches: Patches,
-    frame: npt.NDArray[np.integer],
+    cell: npt.NDArray[np.integer],
     floor: Doubles,
     device: str,
     *,
     cut: bool,
 ) -> Found:
-    """Search patches of ``own``, each in one of the cells (n,), for what is beyond a floor (G,) in that cell.
+    """Search patches of ``own``, each in one of the cells (n,), for what is beyond a floor (C,) in that cell.
 
-    With ``cut``, the pieces are kept that the patches had to be cut into.
+    With ``cut``, the pieces are kept that the patches had to be cut into. Those of one mesh come one after another, and
+    are searched as they are alone.
     """
-    found = _search_once(own, other, patches, frame, floor, device, cut=cut)
+    found = _search_once(own, other, patches, cell, floor, device, cut=cut)
     known = floor.copy()
-    np.maximum.at(known, frame, found.low)
-    item = np.flatnonzero(_is_given_up(found, known[frame]))
-    if not len(item):
+    np.maximum.at(known, cell, found.low)
+    items = np.flatnonzero(_is_given_up(found, known[cell]))
+    if not len(items):
         return found
     # Large faces over thousands of small ones: what bounds them is their own size, which says nothing. Their pieces
     # are patches of their own.
-    looks_left = LOOKS_PER_FACE * (own.face_count + other.face_count)
     low, high, hint = found.low.copy(), found.high.copy(), found.hint
-    high[item] = 0.0
+    high[items] = 0.0
     is_whole = np.ones(len(patches), dtype=bool)
-    is_whole[item] = False
+    is_whole[items] = False
     whole = is_whole[found.owner]
     done = [(found.pieces.rows(whole), found.owner[whole])]
-    rest = patches.rows(item)
-    while len(rest):
-        found = _search_once(own, other, rest, frame[item], known, device, cut=True)
-        np.maximum.at(low, item, found.low)
-        np.maximum.at(known, frame[item], found.low)
-        given_up = _is_given_up(found, known[frame[item]])
-        looks_left -= int(kernels.MAX_PIECES) * int(given_up.sum())
-        if looks_left < 0:
-            given_up[:] = False
-        np.maximum.at(high, item[~given_up], found.high[~given_up])
-        again = given_up[found.owner]
-        done.append((found.pieces.rows(~again), item[found.owner[~again]]))
-        rest, item = found.pieces.rows(again), item[found.owner[again]]
+    several = own.mesh_count > 1
+    for mesh in np.unique(cell[items]).tolist() if several else [0]:
+        item = items[cell[items] == mesh] if several else items
+        size = sum(one.faces_of(mesh).stop - one.faces_of(mesh).start for one in (own, other))
+        looks_left, rest = LOOKS_PER_FACE * size, patches.rows(item)
+        while len(rest):
+            found = _search_once(own, other, rest, cell[item], known, device, cut=True)
+            np.maximum.at(low, item, found.low)
+            np.maximum.at(known, cell[item], found.low)
+            given_up = _is_given_up(found, known[cell[item]])
+            looks_left -= int(kernels.MAX_PIECES) * int(given_up.sum())
+            if looks_left < 0:
+                given_up[:] = False
+            np.maximum.at(high, item[~given_up], found.high[~given_up])
+            again = given_up[found.owner]
+            done.append((found.pieces.rows(~again), item[found.owner[~again]]))
+            rest, item = found.pieces.rows(again), item[found.owner[again]]
     if not cut:
         return Found(low, high, hint, patches.rows(slice(0)), np.zeros(0, dtype=np.int64))
     owner = np.concatenate([one for _, one in done])
@@ -220,21 +229,22 @@ def _search_once(
     own: Cells,
     other: Cells,
     patches: Patches,
-    frame: npt.NDArray[np.integer],
+    cell: npt.NDArray[np.integer],
     floor: Doubles,
     device: str,
     *,
     cut: bool,
 ) -> Found:
     """Search each patch, but give those up that have to be cut into too many pieces."""
-    runs = -(-len(patches) // int(kernels.RUN))
-    parts = split_range(runs, min(thread_count(device), max(1, len(patches) // MIN_PART)))
+    runs = _runs(own, cell)
+    parts = split_range(len(runs) - 1, min(thread_count(device), max(1, len(patches) // MIN_PART)))
     items = kernels.SearchItems()
     items.face = new_arrays.uploaded(patches.face, dtype=wp.int32, device=device)
     items.place = new_arrays.uploaded(patches.place, dtype=wp.float64, device=device)
     items.hint = new_arrays.uploaded(patches.hint, dtype=wp.int32, device=device)
-    items.frame = new_arrays.uploaded(frame, dtype=wp.int32, device=device)
-    inputs = [own.surface, other.surface, own.face_count, other.face_count]
+    items.cell = new_arrays.uploaded(cell, dtype=wp.int32, device=device)
+    items.run = new_arrays.uploaded(runs, dtype=wp.int32, device=device)
+    inputs = [own.surface, other.surface, own.table, other.table]
     inputs += [new_arrays.uploaded(floor, dtype=wp.float64, device=device), items]
     low, high = (new_arrays.empty(len(patches), dtype=wp.float64, device=device) for _ in range(2))
     hint = new_arrays.empty(patches.hint.shape, dtype=wp.int32, device=device)
@@ -257,6 +267,14 @@ def _search_once(
             break
         room = needed
     return Found(low.numpy(), high.numpy(), hint.numpy(), *_read_pieces(patches, pieces, room, cut))
+
+
+def _runs(own: Cells, cell: npt.NDArray[np.integer]) -> Ints:
+    """Where runs begin of patches in cells (n,), (R+1,): none goes on from one mesh to another."""
+    place = np.arange(len(cell))
+    if own.mesh_count > 1:
+        place -= np.searchsorted(cell, cell)
+    return np.append(np.flatnonzero(place % int(kernels.RUN) == 0), len(cell))
 
 
 def _piece_room(part_count: int, room: int, device: str) -> kernels.FoundPieces:

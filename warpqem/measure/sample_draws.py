@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -31,10 +32,10 @@ Ints = npt.NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Draws:
-    """Samples of n frames, S in each.
+    """Samples of n frames, S in each; or of n meshes.
 
     Attributes:
-        face: (n, S) faces.
+        face: (n, S) faces, counted from the first one of the mesh.
         place: (n, S, 2) barycentric coordinates of their second and third corner.
         weight: (n, S), 1 in the mean of all draws: the mean of a value times its weight is that over the area.
     """
@@ -63,21 +64,22 @@ def _numbers(key: tuple[int, ...], count: int) -> tuple[Doubles, Doubles]:
     return place, second
 
 
-def _along_curve(points: Doubles) -> Ints:
-    """The order of points (N, 3) along a Morton curve."""
-    low = points.min(axis=0)
-    extent = float((points.max(axis=0) - low).max())
+def _along_curve(points: Doubles, first: Ints, mesh: Ints) -> Ints:
+    """The order of points (N, 3) along a Morton curve, mesh after mesh (N,); ``first`` (M,) are those of each."""
+    low, high = (bound.reduceat(points, first, axis=0) for bound in (np.minimum, np.maximum))
+    extent = (high - low).max(axis=1)
     side = 2**CURVE_BITS
-    cell = np.zeros(points.shape, dtype=np.int64)
-    if extent > 0:
-        # Off any simple fraction of the extent: points of a regular mesh are in the same cells wherever it stands.
-        cell = ((points - low) * ((side - 1) / extent) + GOLDEN).astype(np.int64)
+    # Off any simple fraction of the extent: points of a regular mesh are in the same cells wherever it stands.
+    scale = np.divide(side - 1, extent, out=np.zeros_like(extent), where=extent > 0)
+    cell = ((points - low[mesh]) * scale[mesh, None] + np.where(extent > 0, GOLDEN, 0.0)[mesh, None]).astype(np.int64)
     spread = _spread_bits()[cell]
-    return np.argsort(spread[:, 0] | spread[:, 1] << 1 | spread[:, 2] << 2, kind="stable")
+    return np.argsort(spread[:, 0] | spread[:, 1] << 1 | spread[:, 2] << 2 | mesh << 3 * CURVE_BITS, kind="stable")
 
 
 class SampleDraws:
-    """Draws samples of one surface, frame after frame, and learns from their distances where the next ones should lie.
+    """Draws samples of a surface, frame after frame, and learns from their distances where the next ones should lie.
+
+    Several meshes in one frame are drawn from at once, from each as from it alone.
 
     A mean over the surface has the least variance where samples are as dense as the root mean square of the value
     (Neyman, "On the two different aspects of the representative method", 1934): here of the squared distance, in each
@@ -88,29 +90,34 @@ class SampleDraws:
         corners: (N, 3, 3) corners of the faces in the first frame.
         seed: seed of the samples.
         side: 0 or 1, so that two surfaces have different samples.
+        first_face: (M+1,) where the faces of each of several meshes begin, and the last ones end; None for one mesh.
     """
 
-    def __init__(self, corners: Doubles, seed: int, side: int) -> None:
+    def __init__(self, corners: Doubles, seed: int, side: int, first_face: Ints | None = None) -> None:
         self._key = (seed, side)
-        self._order = _along_curve(corners.mean(axis=1))
-        count = min(len(corners), REGIONS)
+        self._first = np.array([0, len(corners)]) if first_face is None else first_face
+        counts, first = np.diff(self._first), self._first[:-1]
+        mesh = np.repeat(np.arange(len(counts)), counts)
+        self._order = _along_curve(corners.mean(axis=1), first, mesh)
+        regions = np.minimum(counts, REGIONS)
         # Of each place in the order, and of each face.
-        self._place_region = np.arange(len(corners)) * count // len(corners)
+        own = (np.arange(len(corners)) - first[mesh]) * regions[mesh] // counts[mesh]
+        self._place_region = own + (np.cumsum(regions) - regions)[mesh]
         self._face_region = np.empty_like(self._place_region)
         self._face_region[self._order] = self._place_region
-        self._sum, self._count = np.zeros(count), np.zeros(count)
+        self._sum, self._count = np.zeros(regions.sum()), np.zeros(regions.sum())
 
     def learn(self, draws: Draws, distance: Doubles) -> None:
-        """Take in the distances (n, S) of samples."""
+        """Take in the distances (n, S) of samples, of frames or meshes."""
         power = distance**4
         mean = (power * draws.weight).mean(axis=1, keepdims=True)
         relative = np.divide(power, mean, out=np.ones_like(power), where=mean > 0)
-        region = self._face_region[draws.face].ravel()
+        region = self._face_region[draws.face + self._first_of(draws.face)].ravel()
         self._sum += np.bincount(region, relative.ravel(), len(self._sum))
         self._count += np.bincount(region, minlength=len(self._sum))
 
     def draw(self, areas: Doubles, frames: Sequence[int], count: int, *, pilot: bool = False) -> Draws:
-        """So many samples of frames with face areas (n, N); those of a ``pilot`` are others.
+        """So many samples of frames with face areas (n, N), or of each mesh; those of a ``pilot`` are others.
 
         The share of the samples before a face, in the order of the curve, is drawn in as many strata as there are
         samples. What is left of it within the face is the first number of the square-root map of Osada et al., "Shape
@@ -121,22 +128,31 @@ class SampleDraws:
         """
         areas = areas[:, self._order]
         density = np.sqrt((self._sum + PRIOR_SAMPLES) / (self._count + PRIOR_SAMPLES))[self._place_region]
-        # No matrix product: its bits depend on the number of threads.
-        mean = (areas * density).sum(axis=1) / areas.sum(axis=1)
-        place = np.empty((len(areas), count), dtype=np.int64)
-        first, second, weight = (np.empty(place.shape) for _ in range(3))
+        weighted = areas * density
         seed, side = self._key
-        for row, frame in enumerate(frames):
-            key = (seed, int(frame), side)
+        rows = list(itertools.product(range(len(areas)), itertools.pairwise(self._first.tolist())))
+        place = np.empty((len(rows), count), dtype=np.int64)
+        first, second, weight = (np.empty(place.shape) for _ in range(3))
+        for row, (frame, ends) in enumerate(rows):
+            key, part = (seed, int(frames[frame]), side), slice(*ends)
             strata, second[row] = _numbers((*key, 1) if pilot else key, count)
-            relative = UNIFORM_SHARE + (1.0 - UNIFORM_SHARE) / mean[row] * density
-            share = areas[row] * relative
+            # No matrix product: its bits depend on the number of threads.
+            mean = weighted[frame, part].sum() / areas[frame, part].sum()
+            relative = UNIFORM_SHARE + (1.0 - UNIFORM_SHARE) / mean * density[part]
+            share = areas[frame, part] * relative
             total = np.cumsum(share)
             drawn = strata * (total[-1] / count)
             # Rounding may put the last one beyond the last face with an area.
             last = int(np.searchsorted(total, total[-1]))
-            place[row] = np.searchsorted(total, drawn, side="right").clip(0, last)
-            first[row] = np.clip(1.0 - (total[place[row]] - drawn) / share[place[row]], 0.0, 1.0)
-            weight[row] = 1.0 / relative[place[row]]
-        root = np.sqrt(first)
-        return Draws(self._order[place], np.stack([root * (1.0 - second), root * second], axis=-1), weight)
+            own = np.minimum(np.searchsorted(total, drawn, side="right"), last)
+            place[row] = own
+            first[row] = (total[own] - drawn) / share[own]
+            weight[row] = relative[own]
+        root = np.sqrt(np.clip(1.0 - first, 0.0, 1.0))
+        start = self._first_of(place)
+        face = self._order[place + start] - start
+        return Draws(face, np.stack([root * (1.0 - second), root * second], axis=-1), 1.0 / weight)
+
+    def _first_of(self, rows: Ints) -> Ints:
+        """(n, 1) the first face of the mesh of each of n rows."""
+        return np.resize(self._first[:-1], len(rows))[:, None]

@@ -1,4 +1,4 @@
-"""Two surfaces in motion, measured against each other a few frames at a time."""
+"""Two surfaces in motion, measured against each other a few frames at a time; or many pairs of them in one frame."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import warp as wp
 from warpqem.errors import DegenerateMeshError
 from warpqem.kernels import surface_distance as kernels
 from warpqem.kernels.lanes import WIDE
-from warpqem.measure.cells import Cells, cell_places
+from warpqem.measure.cells import Cells, Joined, cell_places
 from warpqem.measure.collapsed import collapsed_frames, distance_apart
 from warpqem.measure.largest import LargestDistance
 from warpqem.measure.per_frame import FrameErrors
@@ -22,7 +22,7 @@ from warpqem.measure.sample_draws import Draws, SampleDraws
 from warpqem.runtime import new_arrays
 from warpqem.runtime.part_launches import FIRST_ITEM, launch_in_parts
 
-__all__ = ["SurfaceComparison", "sample_count"]
+__all__ = ["SMALL_FACES", "SurfaceComparison", "sample_count"]
 
 # Samples on each surface, over all frames together: on 13 sequences the mean over the frames is then off by 0.6 %, and
 # by 1.5 % at most.
@@ -34,6 +34,8 @@ MAX_SAMPLES, MIN_SAMPLES = 20000, 64
 # meshes the root mean square distance is then off by 0.5 % in the middle, and by 2.5 % at most, with three seeds each
 # (`python -m benchmarks samples`).
 FACE_SAMPLES, MIN_MESH_SAMPLES = 4, 2000
+# Meshes of so many faces have the same number of samples in one frame.
+SMALL_FACES = MIN_MESH_SAMPLES // FACE_SAMPLES
 # Before the first frame, this part of all samples, and no more than so many, show where the samples of the figures are
 # to lie: with 85 instead of 2500 of them, the error of a horse that lost its ear is off by 1.9 % instead of 0.9.
 PILOT_PART, MAX_PILOT = 12, 2500
@@ -101,7 +103,9 @@ def _forward_is_larger(ahead: Doubles, back: Doubles, samples: int) -> npt.NDArr
 
 
 class SurfaceComparison:
-    """Measures a test mesh against a reference, in one frame after another.
+    """Measures a test mesh against a reference, in one frame after another; or several against one each in one frame.
+
+    Rows of figures are frames, or meshes.
 
     In each frame, samples of both surfaces are drawn in strata, differently in each frame, half of them in proportion
     to area and half where the distances of samples before were large, and weighted for that
@@ -110,9 +114,9 @@ class SurfaceComparison:
     frames give equal bits, however they come in blocks.
 
     Args:
-        reference_faces: (N, 3) int.
-        test_faces: (M, 3) int.
-        frame_count: frames to come, at least 1.
+        reference: the reference, or M of them.
+        test: the test mesh, or as many.
+        frame_count: frames to come, at least 1; 1 for several meshes.
         samples: samples on each surface in each frame.
         seed: seed of the samples.
         device: Warp device.
@@ -123,13 +127,13 @@ class SurfaceComparison:
         collapsed: numbers of the frames so far in which either mesh is collapsed to a point or a line, and how far the
             two are apart there, in the units of the points: such a frame has no errors.
         sample_count: samples on each surface in each frame.
-        test_faces: faces of the test mesh.
+        test_faces: faces (M,) of each test mesh.
     """
 
     def __init__(
         self,
-        reference_faces: npt.NDArray[np.integer],
-        test_faces: npt.NDArray[np.integer],
+        reference: Joined,
+        test: Joined,
         frame_count: int,
         samples: int,
         seed: int,
@@ -137,21 +141,22 @@ class SurfaceComparison:
         *,
         overall: bool = False,
     ) -> None:
-        largest = max(len(reference_faces), len(test_faces))
+        largest = max(len(reference.faces), len(test.faces))
         self._cells = max(1, min(MAX_CELLS, CELL_FACES // largest, frame_count))
         self.group = max(self._cells, min(WIDE, BLOCK_FACES // largest, frame_count))
-        self._reference = Cells(reference_faces, self._cells, "reference", device)
-        self._test = Cells(test_faces, self._cells, "test", device)
+        self._reference = Cells(reference, self._cells, "reference", device)
+        self._test = Cells(test, self._cells, "test", device)
         surfaces = self._reference, self._test, frame_count, device
         self._largest = LargestDistance(*surfaces, overall=True)
         # In one frame it is the same.
         self._in_frames = None if overall or frame_count == 1 else LargestDistance(*surfaces, like=self._largest)
         self.collapsed: dict[int, float] = {}
-        self._overall = 0.0
+        self._mesh_count = self._test.mesh_count
+        self._overall = np.zeros(self._mesh_count)
         self._draws: list[SampleDraws] = []
         # All samples of a surface, and frames whose samples have been learned from.
         self._all_samples, self._learned = samples * frame_count, 0
-        self.test_faces = len(test_faces)
+        self.test_faces = np.diff(test.first_face)
         self.sample_count, self._seed, self._device = samples, seed, device
         self._rows: list[dict[str, npt.NDArray[Any]]] = []
         self._diagonals: list[Doubles] = []
@@ -165,12 +170,16 @@ class SurfaceComparison:
             test: (n, W, 3) points of the test mesh.
 
         Raises:
-            DegenerateMeshError: all faces of a mesh are too thin in a frame.
+            DegenerateMeshError: all faces of a mesh are too thin in a frame; or one of several meshes is collapsed.
         """
         own, other = (
             mesh.astype(np.float64)[:, cells.used] for mesh, cells in ((reference, self._reference), (test, self._test))
         )
-        flat = collapsed_frames(own, self._reference.faces) | collapsed_frames(other, self._test.faces)
+        sides = ((own, self._reference), (other, self._test))
+        one, two = (collapsed_frames(points, cells.faces, cells.first_face) for points, cells in sides)
+        flat = one | two
+        if flat.any() and self._mesh_count > 1:
+            raise DegenerateMeshError("one of several meshes is collapsed to a point or a line")
         for index in np.flatnonzero(flat).tolist():
             self.collapsed[int(frames[index])] = distance_apart(own[index], other[index])
         if flat.all():
@@ -178,11 +187,14 @@ class SurfaceComparison:
         if flat.any():
             frames = [frame for frame, gone in zip(frames, flat.tolist(), strict=True) if not gone]
             own, other = own[~flat], other[~flat]
-        low, high = own.min(axis=1), own.max(axis=1)
-        diagonal = np.linalg.norm(high - low, axis=1)
-        middle = (low + high)[:, None] / 2
-        own, other = ((points - middle) / diagonal[:, None, None] for points in (own, other))
-        self._diagonals.append(diagonal)
+        low, high = self._reference.bounds(own)
+        diagonal = np.linalg.norm(high - low, axis=2)
+        middle = (low + high) / 2
+        own, other = (
+            (points - cells.of_points(middle)) / cells.of_points(diagonal[:, :, None])
+            for points, cells in ((own, self._reference), (other, self._test))
+        )
+        self._diagonals.append(diagonal.ravel())
         places = cell_places(self._cells, max(float(np.abs(own).max()), float(np.abs(other).max())))
         for largest in self._searches:
             largest.begin_block(own, other)
@@ -192,7 +204,7 @@ class SurfaceComparison:
             self._test.move(other[part], places)
             if not self._draws:
                 self._draws = [
-                    SampleDraws(points[0][cells.faces], self._seed, side)
+                    SampleDraws(points[0][cells.faces], self._seed, side, cells.first_face)
                     for side, (points, cells) in enumerate(((own, self._reference), (other, self._test)))
                 ]
             self._measure(frames[part], part)
@@ -203,7 +215,7 @@ class SurfaceComparison:
         reference, test = self._reference, self._test
         areas = [cells.areas() for cells in (reference, test)]
         for cells, area in zip((reference, test), areas, strict=True):
-            empty = ~area.any(axis=1)
+            empty = ~np.logical_or.reduceat(area, cells.first_face[:-1], axis=1).all(axis=1)
             if empty.any():
                 raise DegenerateMeshError(
                     f"{cells.name} mesh: every face has zero area in frame {frames[int(np.argmax(empty))]}"
@@ -213,20 +225,20 @@ class SurfaceComparison:
         sampled = np.maximum(ahead.distance.max(axis=1), back.distance.max(axis=1))
         self._learned += count
         largest = self._largest.find(part, sampled)
-        self._overall = max(self._overall, float(largest.max()))
+        self._overall = np.maximum(self._overall, largest.reshape(-1, self._mesh_count).max(axis=0))
         if self._in_frames is not None:
             largest = self._in_frames.find(part, np.maximum(ahead.largest, back.largest))
         rms = [np.sqrt(one.mean(one.distance**2)) for one in (ahead, back)]
         self._rows.append(
             {
-                "frame": np.array(frames, dtype=np.int64),
+                "frame": np.repeat(np.array(frames, dtype=np.int64), self._mesh_count),
                 "hausdorff": 100 * largest,
                 "mean": 100 * (ahead.mean(ahead.distance) + back.mean(back.distance)) / 2,
                 "rms_forward": 100 * rms[0],
                 "rms_backward": 100 * rms[1],
                 "normal_deviation": (ahead.mean_angle + back.mean_angle) / 2,
                 "flips": self._flips(count),
-                "degenerate_faces": (areas[1][:count] <= DEGENERATE_AREA).sum(axis=1),
+                "degenerate_faces": self._counted(areas[1][:count] <= DEGENERATE_AREA),
             }
         )
 
@@ -235,18 +247,21 @@ class SurfaceComparison:
     ) -> _Samples:
         """Samples of one surface in the frames that the cells show, each as dense as the ones before ask for."""
         draws, learned, done = self._draws[side], self._learned, 0
+
+        def draw(some: slice, count: int, *, pilot: bool) -> _Samples:
+            """Draw in some of the frames, and learn from what is found."""
+            drawn = draws.draw(areas[some], frames[some], count, pilot=pilot)
+            samples = self._looked_at(own, other, drawn, frames[some], some.start, part, side)
+            draws.learn(drawn, samples.distance)
+            return samples
+
         if not learned:
-            pilot = max(1, min(MAX_PILOT, self._all_samples // PILOT_PART))
-            drawn = draws.draw(areas[:1], frames[:1], pilot, pilot=True)
-            draws.learn(drawn, self._looked_at(own, other, drawn, frames[:1], 0, part, side).distance)
+            draw(slice(0, 1), max(1, min(MAX_PILOT, self._all_samples // PILOT_PART)), pilot=True)
         found = []
         while done < len(frames):
             # As many frames as there were before at most, so that also few groups of many frames learn.
             some = slice(done, min(len(frames), done + max(1, learned + done)))
-            drawn = draws.draw(areas[some], frames[some], self.sample_count)
-            samples = self._looked_at(own, other, drawn, frames[some], done, part, side)
-            draws.learn(drawn, samples.distance)
-            found.append(samples)
+            found.append(draw(some, self.sample_count, pilot=False))
             done = some.stop
         return _Samples(*(np.concatenate([getattr(samples, name) for samples in found]) for name in vars(found[0])))
 
@@ -260,50 +275,57 @@ class SurfaceComparison:
             shown = slice(part.start + cell, part.start + cell + len(frames))
             also_face, also_place = self._in_frames.leading_corners(side, shown)
             face, place = np.concatenate([face, also_face], axis=1), np.concatenate([place, also_place], axis=1)
-        face = face + (own.face_count * (cell + np.arange(len(frames))))[:, None]
         shape = face.shape
         inputs = [
             own.surface,
             other.surface,
+            own.table,
+            other.table,
             new_arrays.uploaded(face.ravel(), dtype=wp.int32, device=self._device),
             new_arrays.uploaded(place.reshape(-1, 2), dtype=wp.vec2d, device=self._device),
-            own.face_count,
-            other.face_count,
+            cell * self._mesh_count,
+            shape[1],
             self._largest.near_faces(side),
         ]
         distance, angle = (new_arrays.empty(face.size, dtype=wp.float64, device=self._device) for _ in range(2))
         near = new_arrays.empty(face.size, dtype=wp.int32, device=self._device)
         self._launch(kernels.sample_distances, face.size, inputs, [distance, angle, near])
-        degrees = angle.numpy()
+        degrees = angle.numpy().reshape(shape)
         against = degrees > 90.0
         if against.any():
-            either = own.winding.either[face.ravel() % own.face_count]
-            either |= other.winding.either[near.numpy() % other.face_count]
+            # Faces are counted from the first one of a mesh, and rows are its.
+            first = [np.resize(cells.first_face[:-1], len(face))[:, None] for cells in (own, other)]
+            either = own.winding.either[first[0] + face] | other.winding.either[first[1] + near.numpy().reshape(shape)]
             degrees = np.where(against & either, 180.0 - degrees, degrees)
         found = distance.numpy().reshape(shape)
         if (found < 0).any():
             frame = frames[int(np.argmax((found < 0).any(axis=1)))]
             raise DegenerateMeshError(f"{other.name} mesh: every face is degenerate in frame {frame}")
         samples = slice(drawn.face.shape[1])
-        angles = degrees.reshape(shape)[:, samples]
+        angles = degrees[:, samples]
         return _Samples(found[:, samples], angles, drawn.weight, found.max(axis=1))
 
     def _flips(self, count: int) -> npt.NDArray[np.int64]:
-        """Faces (n,) that oppose the reference in the frames shown."""
+        """Faces (n,) that oppose the reference in the frames shown, or of each mesh."""
         test, reference = self._test, self._reference
         opposed = new_arrays.empty((count, test.face_count), dtype=wp.int32, device=self._device)
-        sizes = [test.face_count, reference.face_count, count]
-        inputs = [test.surface, reference.surface, *sizes, DEGENERATE_AREA, test.nearest]
-        self._launch(kernels.find_flips, test.face_count, inputs, [opposed])
+        cell = new_arrays.uploaded(test.mesh_of_face, dtype=wp.int32, device=self._device)
+        inputs = [test.surface, reference.surface, test.table, reference.table, cell, count]
+        self._launch(kernels.find_flips, test.face_count, [*inputs, DEGENERATE_AREA, test.nearest], [opposed])
         face = opposed.numpy()
         flipped = face >= 0
         if flipped.any():
             # Of two sides of a sheet, one faces as the reference does.
             flipped &= ~test.winding.both
         if flipped.any():
-            flipped[flipped] = ~reference.winding.either[face[flipped]]
-        total: npt.NDArray[np.int64] = flipped.sum(axis=1, dtype=np.int64)
-        return total
+            there = face + reference.first_face[test.mesh_of_face]
+            flipped[flipped] = ~reference.winding.either[there[flipped]]
+        return self._counted(flipped)
+
+    def _counted(self, flags: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
+        """How many faces of the test mesh are flagged (n, N) in each frame, or of each mesh."""
+        counts: npt.NDArray[np.int64] = np.add.reduceat(flags, self._test.first_face[:-1], axis=1, dtype=np.int64)
+        return counts.ravel()
 
     def _launch(self, kernel: wp.Kernel, count: int, inputs: list[Any], outputs: list[wp.array]) -> None:
         launch_in_parts(kernel, count, [*inputs, FIRST_ITEM], outputs, device=self._device, min_items=MIN_PART)
@@ -312,27 +334,28 @@ class SurfaceComparison:
     def _searches(self) -> list[LargestDistance]:
         return [search for search in (self._largest, self._in_frames) if search is not None]
 
-    def largest(self) -> float:
+    def largest(self, mesh: int = 0) -> float:
         """The largest distance in the frames so far, in % of the diagonal: at most a thousandth above that of a point.
 
         It is the same whether those of single frames are asked for or not.
         """
-        return 100 * self._overall
+        return 100 * float(self._overall[mesh])
 
-    def per_frame(self) -> FrameErrors:
-        """The errors of the frames so far; no largest distance of a frame is above :meth:`largest`.
+    def per_frame(self, mesh: int = 0) -> FrameErrors:
+        """The errors of a mesh in the frames so far; no largest distance of a frame is above :meth:`largest`.
 
         Raises:
             DegenerateMeshError: a mesh is collapsed in all of them.
         """
         if not self._rows:
             raise DegenerateMeshError("a mesh is collapsed to a point or a line in every frame")
-        found = {name: np.concatenate([row[name] for row in self._rows]) for name in self._rows[0]}
+        step = self._mesh_count
+        found = {name: np.concatenate([row[name] for row in self._rows])[mesh::step] for name in self._rows[0]}
         ahead, back = found["rms_forward"], found["rms_backward"]
-        found["hausdorff"] = np.minimum(found["hausdorff"], self.largest())
+        found["hausdorff"] = np.minimum(found["hausdorff"], self.largest(mesh))
         found["rms"] = np.where(_forward_is_larger(ahead, back, self.sample_count), ahead, back)
         return FrameErrors(**found)
 
-    def diagonals(self) -> Doubles:
-        """Bounding-box diagonals (n,) of the reference in the frames so far, in its units."""
-        return np.concatenate(self._diagonals)
+    def diagonals(self, mesh: int = 0) -> Doubles:
+        """Bounding-box diagonals (n,) of a reference in the frames so far, in its units."""
+        return np.concatenate(self._diagonals)[mesh :: self._mesh_count]

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from warpqem.measure.coincidence import coincident
 from warpqem.mesh.components import lowest_members
 from warpqem.mesh.edges import edge_key
-from warpqem.repair.face_pairing import distinct_faces, pair_faces, turned_faces
+from warpqem.repair.face_pairing import distinct_faces, pair_faces, runs, turned_faces
 
 __all__ = ["Winding", "read_winding"]
 
@@ -44,14 +44,18 @@ class Winding:
         return self.both | self.unlike
 
 
-def read_winding(points: npt.NDArray[np.float64], faces: npt.NDArray[np.integer]) -> Winding:
+def read_winding(
+    points: npt.NDArray[np.float64], faces: npt.NDArray[np.integer], mesh: npt.NDArray[np.integer] | None = None
+) -> Winding:
     """Find the faces whose winding says nothing. Vertices at the same place count as one.
 
     Args:
         points: (V, 3) of the first frame.
         faces: (N, 3).
+        mesh: (V,) which of several meshes each vertex is of; None for one.
     """
-    corners = coincident(points[None])[faces].astype(np.int32)
+    places = points if mesh is None else np.concatenate([points, mesh[:, None]], axis=1)
+    corners = coincident(places[None])[faces].astype(np.int32)
     proper = np.flatnonzero((corners != np.roll(corners, -1, axis=1)).all(axis=1))
     both, unlike = np.zeros(len(faces), dtype=bool), np.zeros(len(faces), dtype=bool)
     if not len(proper):
@@ -72,12 +76,13 @@ def _have_backs(points: Doubles, faces: npt.NDArray[np.int32]) -> Flags:
     rim; at a diagonal of a polygon there are two of the same side. So faces that meet in twos, and do not fold back on
     each other, are the polygons, with no vertex inside.
     """
-    patch, rim = _patches(points, faces)
-    edge, around = np.flatnonzero(rim), patch[np.flatnonzero(rim) // 3]
     normal = _normals(points, faces)
-    sides = np.zeros((len(faces), 3))
-    np.add.at(sides, patch, normal)
-    whole = np.bincount(patch, np.linalg.norm(normal, axis=1), minlength=len(faces))
+    length = np.linalg.norm(normal, axis=1)
+    patch, rim = _patches(points, faces, normal, length)
+    edge = np.flatnonzero(rim)
+    around = patch[edge // 3]
+    sides = np.stack([np.bincount(patch, along, minlength=len(faces)) for along in normal.T], axis=1)
+    whole = np.bincount(patch, length, minlength=len(faces))
     # A polygon of n corners, cut by diagonals, has n - 2 faces.
     corner_count, face_count = (np.bincount(owner, minlength=len(faces)) for owner in (around, patch))
     polygon = (corner_count - 2 == face_count) & (np.linalg.norm(sides, axis=1) > ONE_DIRECTION * whole)
@@ -89,30 +94,35 @@ def _have_backs(points: Doubles, faces: npt.NDArray[np.int32]) -> Flags:
     return backed
 
 
-def _patches(points: Doubles, faces: npt.NDArray[np.int32]) -> tuple[npt.NDArray[np.int64], Flags]:
+def _patches(
+    points: Doubles, faces: npt.NDArray[np.int32], normal: Doubles, length: Doubles
+) -> tuple[npt.NDArray[np.int64], Flags]:
     """(M,) the lowest face of the patch of each face, and (3M,) which half-edges are at the rim of theirs.
 
     Faces that meet in twos, with the same winding and without folding back on each other, are of one patch. A sliver is
     of that beyond its longest edge: the other two are those of a polygon, or lead to smaller slivers.
     """
-    tail, head, normal = faces.ravel(), np.roll(faces, -1, axis=1).ravel(), _normals(points, faces)
+    tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     key = edge_key(tail, head, len(points))
     order = np.argsort(key, kind="stable")
-    _, first, count = np.unique(key[order], return_index=True, return_counts=True)
+    first, count = runs(key[order])
     pair = first[count == 2]
     one, other = order[pair], order[pair + 1]
-    squared = ((points[head] - points[tail]) ** 2).sum(axis=1).reshape(-1, 3)
+    face = [ends // 3 for ends in (one, other)]
+    squared = ((points.take(head, axis=0) - points.take(tail, axis=0)) ** 2).sum(axis=1).reshape(-1, 3)
     longest = squared.argmax(axis=1)
     # Twice the area is the height times the longest edge.
-    is_sliver = np.linalg.norm(normal, axis=1) < SLIVER * squared.max(axis=1)
-    of_sliver = is_sliver[one // 3] | is_sliver[other // 3]
-    along = [is_sliver[edge // 3] & (longest[edge // 3] == edge % 3) for edge in (one, other)]
-    is_smooth = (normal[one // 3] * normal[other // 3]).sum(axis=1) > 0
-    goes_on = (tail[one] == head[other]) & np.where(of_sliver, along[0] | along[1], is_smooth)
-    one, other = one[goes_on], other[goes_on]
+    is_sliver = length < SLIVER * squared.max(axis=1)
+    slivers = [is_sliver[beside] for beside in face]
+    along = [
+        sliver & (longest[beside] == edge - 3 * beside)
+        for sliver, beside, edge in zip(slivers, face, (one, other), strict=True)
+    ]
+    is_smooth = (normal.take(face[0], axis=0) * normal.take(face[1], axis=0)).sum(axis=1) > 0
+    goes_on = (tail[one] == head[other]) & np.where(slivers[0] | slivers[1], along[0] | along[1], is_smooth)
     rim = np.ones(3 * len(faces), dtype=bool)
-    rim[one] = rim[other] = False
-    return lowest_members(len(faces), np.stack([one, other], axis=1) // 3), rim
+    rim[one[goes_on]] = rim[other[goes_on]] = False
+    return lowest_members(len(faces), np.stack([beside[goes_on] for beside in face], axis=1)), rim
 
 
 def _normals(points: Doubles, faces: npt.NDArray[np.int32]) -> Doubles:

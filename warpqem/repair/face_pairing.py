@@ -14,7 +14,7 @@ import numpy as np
 from warpqem.mesh.components import lowest_members
 from warpqem.mesh.edges import edge_key
 
-__all__ = ["DistinctFaces", "EdgePairs", "distinct_faces", "pair_faces", "turned_faces"]
+__all__ = ["DistinctFaces", "EdgePairs", "distinct_faces", "pair_faces", "runs", "turned_faces"]
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ def pair_faces(faces: np.ndarray, vertex_count: int) -> EdgePairs:
     tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     key = edge_key(tail, head, vertex_count)
     order = np.argsort(key, kind="stable")
-    first, count = _runs(key[order])
+    first, count = runs(key[order])
     pair = first[count == 2]
     found = [np.stack([order[pair], order[pair + 1]], axis=1)]
     crowded = order[np.repeat(count > 2, count)]
@@ -85,17 +85,17 @@ def pair_faces(faces: np.ndarray, vertex_count: int) -> EdgePairs:
         # Parts of the surface that edges with two faces join.
         part = np.repeat(lowest_members(len(faces), found[0] // 3), 3)
         crowded = crowded[np.lexsort((crowded, part[crowded], key[crowded]))]
-        first, count = _runs(np.stack([key[crowded], part[crowded]], axis=1))
+        first, count = runs(np.stack([key[crowded], part[crowded]], axis=1))
         pair = first[count == 2]
         found.append(np.stack([crowded[pair], crowded[pair + 1]], axis=1))
         left = crowded[np.repeat(count != 2, count)]
-        found.append(_pair_by_direction(left, *_runs(key[left]), tail < head))
+        found.append(_pair_by_direction(left, *runs(key[left]), tail < head))
     half_edge = np.concatenate(found)
     opposed = tail[half_edge[:, 0]] == head[half_edge[:, 1]]
     return EdgePairs(half_edge, opposed, np.stack([branching // vertex_count, branching % vertex_count], axis=1))
 
 
-def _runs(labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def runs(labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Where runs of equal rows begin, and how long they are."""
     if not len(labels):
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
@@ -111,7 +111,7 @@ def _pair_by_direction(half_edges: np.ndarray, first: np.ndarray, count: np.ndar
     # The rank of each among those of its run that run the same way.
     for way in (True, False):
         chosen = np.flatnonzero(up == way)
-        start, size = _runs(run[chosen])
+        start, size = runs(run[chosen])
         rank = np.arange(len(chosen)) - np.repeat(start, size)
         pairs.append((run[chosen], rank, half_edges[chosen]))
     width = 1 + max((int(rank.max(initial=0)) for _, rank, _ in pairs), default=0)

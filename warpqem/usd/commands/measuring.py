@@ -1,6 +1,12 @@
-"""Measure a mesh of an output against that of the input."""
+"""Measure meshes of an output against those of the input."""
 
 from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -10,7 +16,8 @@ from warpqem.arguments.distance_limit import DistanceLimit
 from warpqem.errors import WarpqemError
 from warpqem.frames.stream import FrameSource, SomeFrames, counted_frames
 from warpqem.measure import Measured
-from warpqem.measure.measured import measure_frames, measured_errors
+from warpqem.measure.measured import StillPair, measure_frames, measure_together, measured_errors
+from warpqem.measure.surfaces import SMALL_FACES
 from warpqem.runtime.device import device_turn
 from warpqem.usd.commands.context import Progress
 from warpqem.usd.commands.mesh_job import MeshJob
@@ -19,63 +26,121 @@ from warpqem.usd.read.read_mesh import MeshSource, PoseFrames
 from warpqem.usd.read.skeleton_poses import StagePoses
 from warpqem.usd.write.stage_report import PrimReport, collapsed_note, name_prim
 
-__all__ = ["measure_written", "written_source", "written_within"]
+__all__ = ["WrittenMeasures", "written_source", "written_within"]
+
+# Small meshes that are measured together: some 100 KB of samples each.
+MAX_TOGETHER = 32
 
 
-def measure_written(job: MeshJob, stage: Usd.Stage, report: PrimReport, device: str | None, progress: Progress) -> None:
-    """Measure a mesh that was written, as the stage of the edits shows it, and note the errors in its report.
+@dataclass(frozen=True)
+class _Waiting:
+    """A small mesh that was written, and its report."""
 
-    They are those that `warpqem compare` gives for the input and the output. Frames are read a few at a time. Where a
-    mesh cannot be measured, the report says why.
+    job: MeshJob
+    report: PrimReport
+    pair: StillPair
+
+
+class WrittenMeasures:
+    """Measures meshes that were written, and notes the errors in their reports.
+
+    They are those that `warpqem compare` gives for the input and the output. Small meshes in one frame wait for each
+    other, and are measured together with the same results: alone each takes the host longer than the device.
 
     Args:
-        job: The mesh as it was read.
-        stage: The input with the edits.
-        report: What happened to the mesh.
         device: Warp device; None for the default.
-        progress: Called with the part done.
     """
-    try:
-        source = written_source(stage, job)
-        layout = source.layout(job.mesh.times)
-        test = PoseFrames(source, job.mesh.times, layout.used_points)
-        reference, faces = _reference(job)
-        found = _measure(reference, faces, test, layout.right_handed_faces, device, progress)
-        report.measured = found.to_dict()
-        if found.collapsed_frames:
-            report.notes.append(collapsed_note(job.mesh.path, job.mesh.times, found.collapsed_frames))
-    except WarpqemError as error:
-        report.problems.append(f"not measured: {name_prim(job.mesh.path, error)}")
+
+    def __init__(self, device: str | None) -> None:
+        """Start with none that waits."""
+        self._device = device
+        self._waiting: list[_Waiting] = []
+
+    @property
+    def is_full(self) -> bool:
+        """Whether as many wait as are to be measured together."""
+        return len(self._waiting) >= MAX_TOGETHER
+
+    def add(
+        self, job: MeshJob, stage: Usd.Stage, report: PrimReport, progress: Progress, *, waits: bool = True
+    ) -> None:
+        """Measure a mesh, or read a small one that waits, as the stage of the edits shows it.
+
+        Frames are read a few at a time. Where a mesh cannot be measured, the report says why.
+
+        Args:
+            job: The mesh as it was read.
+            stage: The input with the edits.
+            report: What happened to the mesh.
+            progress: Called with the part done.
+            waits: Whether the errors have time until :meth:`finish`.
+        """
+        try:
+            test, test_faces = _written(job, stage)
+            reference, faces = _reference(job)
+            frames = np.flatnonzero(counted_frames(reference)).tolist()
+            progress(0.0, "measure")
+            if waits and len(frames) == 1 and max(len(faces), len(test_faces)) <= SMALL_FACES:
+                one = slice(frames[0], frames[0] + 1)
+                pair = StillPair(reference.read(one), faces, test.read(one), test_faces, frames[0])
+                self._waiting.append(_Waiting(job, report, pair))
+                return
+            with device_turn(self._device) as used:
+                done = measure_frames(
+                    reference,
+                    faces,
+                    test,
+                    test_faces,
+                    frames,
+                    device=used,
+                    progress=lambda done, total: progress(done / total, "measure"),
+                    overall=True,
+                )
+                _note(job, report, measured_errors(done))
+        except WarpqemError as error:
+            _note(job, report, error)
+
+    def finish(self, alone: Callable[[str, Callable[[], None]], None]) -> None:
+        """Measure those that wait.
+
+        Args:
+            alone: Called with the path of a mesh and what measures it, where an error that nobody foresees is one of
+                several: it is the matter of one mesh.
+        """
+        waiting = [one for one in self._waiting if one.report.status == "simplified"]
+        self._waiting = []
+        try:
+            for _, some in itertools.groupby(waiting, lambda one: one.pair.frame):
+                self._measure(list(some))
+        except Exception:
+            for one in waiting:
+                alone(one.report.path, partial(self._measure, [one]))
+
+    def _measure(self, waiting: list[_Waiting]) -> None:
+        start = time.perf_counter()
+        with device_turn(self._device) as used:
+            found = measure_together([one.pair for one in waiting], device=used)
+        seconds = (time.perf_counter() - start) / len(waiting)
+        for one, measured in zip(waiting, found, strict=True):
+            _note(one.job, one.report, measured)
+            one.report.seconds += seconds
+
+
+def _note(job: MeshJob, report: PrimReport, found: Measured | WarpqemError) -> None:
+    """Note the errors of a mesh, or why there are none."""
+    if isinstance(found, WarpqemError):
+        report.problems.append(f"not measured: {name_prim(job.mesh.path, found)}")
+        return
+    report.measured = found.to_dict()
+    if found.collapsed_frames:
+        report.notes.append(collapsed_note(job.mesh.path, job.mesh.times, found.collapsed_frames))
 
 
 def written_within(job: MeshJob, stage: Usd.Stage, limit: DistanceLimit, device: str | None) -> bool:
     """Whether a mesh that was written is proved to be within a limit of the mesh as it was read, in all its poses."""
-    source = written_source(stage, job)
-    layout = source.layout(job.mesh.times)
-    test = PoseFrames(source, job.mesh.times, layout.used_points)
+    test, test_faces = _written(job, stage)
     reference, faces = _reference(job)
-    return is_within(reference, faces, test, layout.right_handed_faces, limit, largest_diagonal(job), device)
-
-
-def _measure(
-    reference: FrameSource,
-    reference_faces: npt.NDArray[np.int32],
-    test: FrameSource,
-    test_faces: npt.NDArray[np.int32],
-    device: str | None,
-    progress: Progress,
-) -> Measured:
-    def show(done: int, total: int) -> None:
-        progress(done / total, "measure")
-
-    progress(0.0, "measure")
-    with device_turn(device) as used:
-        frames = np.flatnonzero(counted_frames(reference)).tolist()
-        return measured_errors(
-            measure_frames(
-                reference, reference_faces, test, test_faces, frames, device=used, progress=show, overall=True
-            )
-        )
+    return is_within(reference, faces, test, test_faces, limit, largest_diagonal(job), device)
 
 
 class _NoPoses(StagePoses):
@@ -90,6 +155,13 @@ def written_source(stage: Usd.Stage, job: MeshJob) -> MeshSource:
     """A mesh as the stage of the edits shows it."""
     poses = _NoPoses() if job.skin is None else StagePoses(stage)
     return MeshSource(stage.GetPrimAtPath(job.mesh.path), poses)
+
+
+def _written(job: MeshJob, stage: Usd.Stage) -> tuple[FrameSource, npt.NDArray[np.int32]]:
+    """The poses of a mesh and its faces, counter-clockwise, as the stage of the edits shows it."""
+    source = written_source(stage, job)
+    layout = source.layout(job.mesh.times)
+    return PoseFrames(source, job.mesh.times, layout.used_points), layout.right_handed_faces
 
 
 def _reference(job: MeshJob) -> tuple[FrameSource, npt.NDArray[np.int32]]:

@@ -14,7 +14,7 @@ from warpqem.arguments.figures import rounded_up
 from warpqem.runtime.thread_limit import limit_threads, thread_scope, worthwhile_threads
 from warpqem.usd.commands.context import Progress
 from warpqem.usd.commands.face_points import points_on_level
-from warpqem.usd.commands.measuring import measure_written, written_within
+from warpqem.usd.commands.measuring import WrittenMeasures, written_within
 from warpqem.usd.commands.mesh_job import MeshJob
 from warpqem.usd.commands.rig_steps import Rig
 from warpqem.usd.commands.simplify_options import SimplifyOptions
@@ -48,7 +48,14 @@ class MeshResult:
     limit: DistanceLimit
     face: warpqem.face.FaceProtection | None
 
-    def write(self, layer: OverLayer, report: PrimReport, options: SimplifyOptions, progress: Progress) -> None:
+    def write(
+        self,
+        layer: OverLayer,
+        report: PrimReport,
+        options: SimplifyOptions,
+        progress: Progress,
+        measures: WrittenMeasures,
+    ) -> None:
         """Write the mesh, and measure what was written if the options say so.
 
         Args:
@@ -56,6 +63,7 @@ class MeshResult:
             report: Gets what came of the mesh.
             options: What is asked for.
             progress: Called with the part done.
+            measures: Measures it, a small one later, together with others.
         """
         job, mesh = self.job, self.mesh
         transfer = job.transfer(mesh, options.device)
@@ -98,7 +106,7 @@ class MeshResult:
         report.estimate = float(mesh.error)
         is_proved = skin is None or not self.limit or written_within(job, layer.stage, self.limit, options.device)
         if options.measure:
-            measure_written(job, layer.stage, report, options.device, progress)
+            measures.add(job, layer.stage, report, progress, waits=is_proved)
         if not is_proved:
             report.problems.append(self._unproved(report))
 

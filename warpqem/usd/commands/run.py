@@ -21,6 +21,7 @@ from warpqem.usd.commands.context import Context, Progress, SharedOrder, part_of
 from warpqem.usd.commands.core_calls import CoreCalls
 from warpqem.usd.commands.face_points import FacePoints
 from warpqem.usd.commands.kept_mesh import wanted_changes
+from warpqem.usd.commands.measuring import WrittenMeasures
 from warpqem.usd.commands.mesh_job import MeshJob
 from warpqem.usd.commands.mesh_result import MeshResult
 from warpqem.usd.commands.rig_left import changes_left
@@ -82,6 +83,7 @@ class Run:
         # What the mesh at work is at.
         self.step = ""
         self.core = CoreCalls(context, self.reports)
+        self._measures = WrittenMeasures(self.options.device)
 
     def simplify(self) -> None:
         """Simplify all meshes into the layer."""
@@ -98,7 +100,8 @@ class Run:
         self.progress(1.0, "done")
 
     def finish(self) -> None:
-        """Edit skeletons, and give edits of meshes below instances to all instances; once, after all meshes."""
+        """Measure what waits, edit skeletons, and give edits below instances to all of them; once, after all meshes."""
+        self.measure_waiting()
         lines = reduce_skeletons(self.layer.stage) if self.options.reduce_skeleton else []
         shared = self.layer.share_instances(self.selection, self.by_root)
         # In a flat file instances refer to their prototypes as those are.
@@ -152,6 +155,24 @@ class Run:
 
     def guarded(self, action: Callable[..., Result], prim: Usd.Prim, *arguments: Any) -> Result | None:
         """Do something for a mesh; an error becomes its report, and None is returned, unless the run is strict."""
+        found = self._guarded(action, prim, *arguments)
+        if self._measures.is_full:
+            self.measure_waiting()
+        return found
+
+    def measure_waiting(self) -> None:
+        """Measure the small meshes that wait for each other."""
+
+        def alone(path: str, action: Callable[[], None]) -> None:
+            self._guarded(self._measure_alone, self.stage.GetPrimAtPath(path), action)
+
+        self._measures.finish(alone)
+
+    def _measure_alone(self, _: Usd.Prim, action: Callable[[], None]) -> None:
+        self.step = STEPS["measure"]
+        action()
+
+    def _guarded(self, action: Callable[..., Result], prim: Usd.Prim, *arguments: Any) -> Result | None:
         report = self.reports[str(prim.GetPath())]
         start = time.perf_counter()
         self.step = "reading the mesh"
@@ -299,7 +320,8 @@ class Run:
                 written = MeshResult(job, result, samples, done.rig, limit, self.core.face(job))
                 if done.rig.fitted is not None:
                     report.joints = done.rig.fitted.joints
-                written.write(self.layer, report, self.options, part_of(progress, CORE_SHARE, 1.0 - CORE_SHARE))
+                rest = part_of(progress, CORE_SHARE, 1.0 - CORE_SHARE)
+                written.write(self.layer, report, self.options, rest, self._measures)
                 report.dropped += job.seams.released(job.faces, result.face_map)
                 return
             message = f"nothing could be removed ({report.stopped})"

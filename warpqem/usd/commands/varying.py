@@ -87,6 +87,7 @@ def _simplify_run(
         alone = run_alone(parent, shown, run, cleanup, quiet=run.start > float("-inf"))
         try:
             alone.simplify_constant(shown, progress, target)
+            alone.measure_waiting()
         except (OptionError, DeviceError, CancelledError):
             raise
         except WarpqemError as error:
