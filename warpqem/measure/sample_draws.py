@@ -128,17 +128,18 @@ class SampleDraws:
         """
         areas = areas[:, self._order]
         density = np.sqrt((self._sum + PRIOR_SAMPLES) / (self._count + PRIOR_SAMPLES))[self._place_region]
+        parts = [slice(*ends) for ends in itertools.pairwise(self._first.tolist())]
+        # No matrix product: its bits depend on the number of threads.
         weighted = areas * density
+        mean = [weighted[:, part].sum(axis=1) / areas[:, part].sum(axis=1) for part in parts]
         seed, side = self._key
-        rows = list(itertools.product(range(len(areas)), itertools.pairwise(self._first.tolist())))
+        rows = list(itertools.product(range(len(areas)), range(len(parts))))
         place = np.empty((len(rows), count), dtype=np.int64)
         first, second, weight = (np.empty(place.shape) for _ in range(3))
-        for row, (frame, ends) in enumerate(rows):
-            key, part = (seed, int(frames[frame]), side), slice(*ends)
+        for row, (frame, mesh) in enumerate(rows):
+            key, part = (seed, int(frames[frame]), side), parts[mesh]
             strata, second[row] = _numbers((*key, 1) if pilot else key, count)
-            # No matrix product: its bits depend on the number of threads.
-            mean = weighted[frame, part].sum() / areas[frame, part].sum()
-            relative = UNIFORM_SHARE + (1.0 - UNIFORM_SHARE) / mean * density[part]
+            relative = UNIFORM_SHARE + (1.0 - UNIFORM_SHARE) / mean[mesh][frame] * density[part]
             share = areas[frame, part] * relative
             total = np.cumsum(share)
             drawn = strata * (total[-1] / count)
