@@ -187,6 +187,11 @@ def _count_corners(a: Arguments) -> Demand:
     return Demand(3 * int(a["face_count_in"].numpy()[0]) * INT + 2 * _size(a["corner_count_out"]))
 
 
+def _build_lists(a: Arguments) -> Demand:
+    # The corners twice, and their lists.
+    return Demand(3 * 3 * int(a["face_count_in"].numpy()[0]) * INT + 3 * _size(a["start_out"]))
+
+
 def _fill_adjacency(a: Arguments) -> Demand:
     return Demand(2 * 3 * int(a["face_count_in"].numpy()[0]) * INT + 2 * _size(a["adjacency_cursor"]))
 
@@ -327,6 +332,7 @@ _MODELS: dict[str, Callable[[Arguments], Demand]] = {
         _select_collapses,
         _clear_reservations,
         _shrink_candidates,
+        _build_lists,
         _count_corners,
         _fill_adjacency,
         _list_corners,

@@ -138,6 +138,40 @@ def fill_adjacency(
 
 
 @wp.kernel
+def build_lists(
+    # in
+    corner_vertex_in: wp.array[wp.int32],
+    face_count_in: wp.array[wp.int32],
+    # out
+    start_out: wp.array[wp.int32],
+    lists: VertexAdjacency,
+):
+    """All lists, built by one thread; ``start_out`` (V+1,) is where they begin, and the last one ends."""
+    vertex_count = lists.start.shape[0]
+    for v in range(vertex_count):
+        lists.end[v] = 0
+    for h in range(3 * face_count_in[0]):
+        v = corner_vertex_in[h]
+        if v >= 0:
+            lists.end[v] = lists.end[v] + 1
+    used = wp.int32(0)
+    for v in range(vertex_count):
+        count = lists.end[v]
+        start_out[v] = used
+        lists.start[v] = used
+        lists.end[v] = used
+        used += count
+    start_out[vertex_count] = used
+    lists.used[0] = used
+    for h in range(3 * face_count_in[0]):
+        v = corner_vertex_in[h]
+        if v >= 0:
+            place = lists.end[v]
+            lists.corner[place] = h
+            lists.end[v] = place + 1
+
+
+@wp.kernel
 def list_corners(
     # in
     corner_vertex_in: wp.array[wp.int32],

@@ -21,6 +21,7 @@ from typer.testing import CliRunner
 import warpqem
 import warpqem.usd
 from tests.support import meshes
+from warpqem.arguments import option_fields as option_fields_module
 from warpqem.arguments.limits import Limits
 from warpqem.arguments.option_fields import check_options, named_options, option, option_fields
 from warpqem.cli.app import app
@@ -48,6 +49,14 @@ class Sample:
     kind: typing.Literal["a", "b"] = option("a", "Which.")
     fast: bool = option(False, "Fast.")
     other: object = None
+
+
+@pytest.mark.parametrize("options", [MeshOptions, SimplifyOptions, BuildOptions, LevelChoice])
+def test_defaults_are_as_checking_would_leave_them(options):
+    for entry in option_fields(options).values():
+        found = option_fields_module._checked(entry, entry.default, option_fields(options))
+        assert type(found) is type(entry.default), entry.field
+        assert found == entry.default, entry.field
 
 
 @pytest.mark.parametrize("options", [MeshOptions, SimplifyOptions, BuildOptions, LevelChoice])

@@ -8,7 +8,8 @@ import warp as wp
 
 from tests.oracles import topology as oracle
 from tests.support import meshes
-from warpqem.decimation.adjacency import build_adjacency, classify_vertices
+from warpqem.decimation.adjacency import Adjacency, build_adjacency, classify_vertices
+from warpqem.decimation.recorded_launches import run_once
 from warpqem.kernels.topology import (
     BORDER,
     LOCKED,
@@ -110,6 +111,23 @@ def test_adjacency_is_sorted_where_threads_fill_it_in_any_order(device):
     centre = adjacency.corner.numpy()[: adjacency.start.numpy()[1]]
     assert len(centre) == 300
     assert (np.diff(centre) > 0).all()
+
+
+@pytest.mark.parametrize("part_count", [1, 2, 3])
+def test_adjacency_is_the_same_in_any_number_of_parts(part_count, device):
+    points, faces = meshes.joined(meshes.icosphere(2), meshes.book(), meshes.moebius())
+    faces = faces.copy()
+    faces[17] = -1
+    # The faces behind the count are dead, and one before it.
+    corner_vertex, face_count = (wp.array(n, dtype=wp.int32, device=device) for n in (faces.ravel(), [len(faces) - 5]))
+    adjacency = Adjacency(corner_vertex, face_count, len(points), spare=7)
+    run_once(adjacency.launch_groups(part_count), device)
+    start, corner, lists = adjacency.start.numpy(), adjacency.corner.numpy(), adjacency.lists
+    alive = faces[: len(faces) - 5].ravel()
+    expected = [np.flatnonzero(alive == v).tolist() for v in range(len(points))]
+    assert [corner[a:b].tolist() for a, b in pairwise(start)] == expected
+    assert (lists.start.numpy().tolist(), lists.end.numpy().tolist()) == (start[:-1].tolist(), start[1:].tolist())
+    assert lists.used.numpy().tolist() == [start[-1]]
 
 
 def test_dead_faces_are_left_out_of_the_adjacency(device):

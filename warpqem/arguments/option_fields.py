@@ -160,8 +160,12 @@ def check_options(options: Any) -> dict[str, Any]:
     Raises:
         OptionError: one is of the wrong type or outside its range.
     """
-    entries = option_fields(type(options))
-    return {name: _checked(entry, getattr(options, name), entries) for name, entry in entries.items()}
+    entries, given = option_fields(type(options)), vars(options)
+    # Most are as they are by default, which every mesh of a stage would have checked anew.
+    return {
+        name: given[name] if given[name] is entry.default else _checked(entry, given[name], entries)
+        for name, entry in entries.items()
+    }
 
 
 def _checked(entry: OptionField, value: Any, names: Collection[str]) -> Any:

@@ -43,9 +43,7 @@ class Adjacency:
         )
         self.lists.corner, self.lists.used = self.corner, new_arrays.zeros(1, dtype=wp.int32, device=self._device)
         self._in_order = device_traits(self._device).in_order
-        if self._in_order:
-            self._cursor = new_arrays.zeros(vertex_count + 1, dtype=wp.int32, device=self._device)
-        else:
+        if not self._in_order:
             # A sort works between the two halves.
             self._keys, self._sorted = (
                 new_arrays.empty(2 * len(corner_vertex), dtype=wp.int32, device=self._device) for _ in range(2)
@@ -54,33 +52,39 @@ class Adjacency:
     def launch_groups(self, part_count: int) -> list[LaunchGroup]:
         """What builds the lists, in ``part_count`` parts.
 
-        Threads in order put each corner behind those of its vertex that came before; others leave the order to a sort
-        that keeps it among equal keys. Either way a list is ascending.
+        Threads in order put each corner behind those of its vertex that came before, one thread in a single launch;
+        others leave the order to a sort that keeps it among equal keys. Either way a list is ascending.
         """
         if not self._in_order:
             return [LaunchGroup(self._sort), LaunchGroup(self._hand_out)]
+        if part_count == 1:
+            return [LaunchGroup(self._build)]
+        cursor = new_arrays.zeros(len(self.start), dtype=wp.int32, device=self._device)
 
         def count(recorder: Recorder, part: int) -> None:
-            self._record(recorder, kernels.count_corners, [self._cursor], part, part_count)
+            self._record(recorder, kernels.count_corners, [cursor], part, part_count)
+
+        def scan(recorder: Recorder, _: int) -> None:
+            recorder.scan(self.start, cursor)
+            recorder.copy(cursor, self.start)
 
         def fill(recorder: Recorder, part: int) -> None:
-            self._record(recorder, kernels.fill_adjacency, [self._cursor, self.corner], part, part_count)
+            self._record(recorder, kernels.fill_adjacency, [cursor, self.corner], part, part_count)
 
         return [
-            LaunchGroup(lambda recorder, _: recorder.zero(self._cursor)),
+            LaunchGroup(lambda recorder, _: recorder.zero(cursor)),
             LaunchGroup(count, part_count),
-            LaunchGroup(self._scan),
+            LaunchGroup(scan),
             LaunchGroup(fill, part_count),
             LaunchGroup(self._hand_out),
         ]
 
+    def _build(self, recorder: Recorder, _: int) -> None:
+        recorder.launch(kernels.build_lists, 1, [self._corner_vertex, self._face_count], [self.start, self.lists])
+
     def _record(self, recorder: Recorder, kernel: wp.Kernel, outputs: list[Any], part: int, part_count: int) -> None:
         work = part_work(part, part_count, self._device)
         record_shared(recorder, kernel, [self._corner_vertex, self._face_count], work, outputs)
-
-    def _scan(self, recorder: Recorder, _: int) -> None:
-        recorder.scan(self.start, self._cursor)
-        recorder.copy(self._cursor, self.start)
 
     def _hand_out(self, recorder: Recorder, _: int) -> None:
         vertex_count = len(self.start) - 1
