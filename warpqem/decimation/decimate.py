@@ -265,9 +265,10 @@ def _find_kinds(state: MeshState, border: wp.array, keep_components: bool) -> _K
     """Look for edges of borders and seams, non-manifold vertices and components: the host waits once for the counts."""
     device, flags = border.device, state.vertex_flags
     counts = new_arrays.zeros(3, dtype=wp.int32, device=device)
-    marks = EdgeMarks(state.corner_vertex, border, state.seam, counts[:1])
-    forest = None if keep_components else ComponentForest(state.corner_vertex, state.adjacency, counts[1:2])
-    launch(count_non_manifold, len(flags), [flags], [counts[2:]], device=device)
+    edges, components, others = (new_arrays.part(counts, place, place + 1) for place in range(3))
+    marks = EdgeMarks(state.corner_vertex, border, state.seam, edges)
+    forest = None if keep_components else ComponentForest(state.corner_vertex, state.adjacency, components)
+    launch(count_non_manifold, len(flags), [flags], [others], device=device)
     # The first ones come along: most meshes have few.
     brought, *known = read_together(
         counts, *([marks.first(FEW_EDGES)] if device_traits(str(device)).own_memory else [])

@@ -32,4 +32,4 @@ def build_deformation(
     measured.face_area = new_arrays.empty((rows, chunk_count), dtype=wp.float32, device=device)
     measured.steps = new_arrays.empty((3 * rows, chunk_count), dtype=wp.vec3, device=device)
     measured.anchor = new_arrays.zeros((len(given), chunk_count), dtype=wp.float32, device=device)
-    return wp.array(given, dtype=wp.vec3, device=device, copy=False), measured
+    return new_arrays.uploaded(given, dtype=wp.vec3, device=device, copy=False), measured

@@ -75,9 +75,7 @@ def initial_quadrics(
             kernels.add_border_planes[width],
             dim=(len(vertex), block_count),
             inputs=[
-                wp.array(half_edge, device=device),
-                wp.array(start, device=device),
-                wp.array(vertex, device=device),
+                *(new_arrays.uploaded(rows, dtype=wp.int32, device=device) for rows in (half_edge, start, vertex)),
                 corner_vertex,
                 position,
                 quadric_scale,

@@ -69,7 +69,9 @@ def pack_frames(
         scale: multiplies what is left.
         width: frames in a block; None for what suits so many frames.
     """
-    source = wp.array(points, dtype=wp.vec3, device=device, copy=False) if isinstance(points, np.ndarray) else points
+    source = points
+    if isinstance(points, np.ndarray):
+        source = new_arrays.uploaded(points, dtype=wp.vec3, device=device, copy=False)
     vertex_count = source.shape[1]
     # An empty list stands for all frames.
     rows = new_arrays.uploaded(() if frames is None else frames, dtype=wp.int32, device=device)

@@ -32,7 +32,8 @@ def used_vertices(
     # The vertices, and whether a face is unfit: the host waits once. In whole words.
     marks = new_arrays.zeros(-(-(vertex_count + 1) // 4) * 4, dtype=wp.bool, device=device)
     corner_vertex = new_arrays.uploaded(faces.ravel(), dtype=wp.int32, device=device, copy=False)
-    outputs = [marks[:vertex_count], marks[vertex_count : vertex_count + 1]]
+    ends = (0, vertex_count), (vertex_count, vertex_count + 1)
+    outputs = [new_arrays.part(marks, first, last) for first, last in ends]
     launch(mark_used_vertices, len(faces), [corner_vertex], outputs, device=device)
     looked: list[wp.array] = []
     if look is not None and device_traits(device).own_memory:

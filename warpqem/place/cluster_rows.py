@@ -84,7 +84,7 @@ class ClusterFaces:
         launch_in_parts(kernels.count_faces, cluster_count, self._lists, [rows_of(count)], device=device)
         self.start = new_arrays.like(count)
         wp.utils.array_scan(count, self.start, inclusive=False)
-        self.total = self.start[cluster_count:]
+        self.total = new_arrays.part(self.start, cluster_count, cluster_count + 1)
 
     def listed(self, room: int) -> tuple[wp.array, wp.array]:
         """``face`` int32, ascending within a cluster, and ``weight`` float32, the sum over its corners.

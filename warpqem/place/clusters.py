@@ -150,7 +150,7 @@ class ClusterPlacer:
         choices = softer_choices(stiffness)
         # Where no cluster has a choice, the device is not asked.
         if not settings.endpoint and (choices[:, 0] > choices[:, -1]).any():
-            there = wp.array(choices, dtype=wp.float32, device=device, copy=False)
+            there = new_arrays.uploaded(choices, dtype=wp.float32, device=device, copy=False)
             sums = self._blocks.measure_stiffness(ordered.key_position, ordered.key_count, there)
             recent = recent_errors(ordered.log, kept)
             chosen = chosen_stiffness(sums, there, recent, settings.coherence_cost, settings.softening)

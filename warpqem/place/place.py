@@ -68,7 +68,7 @@ class Placer(ClusterPlacer):
             outputs=[count],
             device=self.device,
         )
-        return count[: len(placed.source)]
+        return new_arrays.part(count, 0, len(placed.source))
 
     def to_blocks(self, mesh: AnimatedMesh, placed: PlacedFrames) -> PlacedBlocks:
         """Frames that were kept on the host, on the device again."""

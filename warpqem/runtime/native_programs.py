@@ -15,6 +15,7 @@ import numpy as np
 import warp as wp
 
 from warpqem.kernels import native_program as kernels
+from warpqem.runtime import new_arrays
 from warpqem.runtime.cpu_calls import PackedCall
 from warpqem.runtime.launches import Recorder, packed_launch
 
@@ -87,7 +88,7 @@ class NativeRecorder(Recorder):
     def finish_loop(self, running: wp.array) -> Callable[[], None]:
         """What runs the operations again and again as long as ``running`` (1,) int32 is not zero."""
         table = np.array(self._rows, dtype=np.int64)
-        operations = wp.array(table, dtype=wp.int64, device="cpu", copy=False)
+        operations = new_arrays.uploaded(table, dtype=wp.int64, device="cpu", copy=False)
         call = packed_launch(kernels.repeat_operations, 1, [operations, running])
         return partial(_run_loop, call, [operations, running, *self._held])
 

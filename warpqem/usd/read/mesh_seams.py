@@ -196,9 +196,11 @@ def find_seams(
     seams = MeshSeams()
     if not len(faces):
         return seams
+    found = corner_values(source, welded) + face_values(source)
+    if not (found or source.mesh.GetCreaseIndicesAttr().HasValue() or subsets_of(source.mesh)):
+        return seams
     edges = _InnerEdges.of(faces, faces if repair is None else repair.sheets)
     sides, vertex_count = None if repair is None else repair.back_corners(), int(faces.max()) + 1
-    found = corner_values(source, welded) + face_values(source)
     creases = _creases(source, edges, faces)
     hard = [creases]
     for name, samples, normals in found:

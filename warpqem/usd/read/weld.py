@@ -96,8 +96,10 @@ def _has_like(rows: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
         # Multiplying by an odd constant and folding the high bits back (Steele, Lea and Flood 2014, splitmix64).
         code = (code ^ column) * np.uint64(0xBF58476D1CE4E5B9)
         code ^= code >> np.uint64(29)
-    _, group, size = np.unique(code, return_inverse=True, return_counts=True)
-    return np.asarray(size[group.ravel()] > 1, dtype=bool)
+    ordered = np.sort(code)
+    repeated = ordered[1:][ordered[1:] == ordered[:-1]]
+    # Most meshes have none, which takes half as long to see.
+    return np.isin(code, repeated) if len(repeated) else np.zeros(len(rows), dtype=bool)
 
 
 def _split(
