@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -60,14 +61,36 @@ class Partners:
     samples: Floats
     device: str
 
+    @cached_property
+    def face_on_host(self) -> npt.NDArray[np.int32]:
+        """``face``, read from the device once."""
+        found: npt.NDArray[np.int32] = self.face.numpy()
+        return found
+
+    @cached_property
+    def weight_on_host(self) -> npt.NDArray[np.float32]:
+        """``weight`` (N', S, 3), likewise."""
+        found: npt.NDArray[np.float32] = self.weight.numpy()
+        return found
+
+    @cached_property
+    def area_on_device(self) -> wp.array:
+        """``area``, uploaded once for all fits."""
+        return new_arrays.uploaded(self.area, dtype=wp.float64, device=self.device)
+
+    @cached_property
+    def samples_on_device(self) -> wp.array:
+        """``samples`` (S,) vec3, likewise."""
+        return new_arrays.uploaded(self.samples, dtype=wp.vec3, device=self.device)
+
     @classmethod
     def over_poses(cls, poses: Sequence[Partners]) -> Partners:
         """Partners in several poses as more samples of each face; areas are those of the first."""
         first = poses[0]
         if len(poses) == 1:
             return first
-        face = np.concatenate([one.face.numpy() for one in poses], axis=1)
-        weight = np.concatenate([one.weight.numpy() for one in poses], axis=1)
+        face = np.concatenate([one.face_on_host for one in poses], axis=1)
+        weight = np.concatenate([one.weight_on_host for one in poses], axis=1)
         with device_turn(first.device):
             on_device = (
                 new_arrays.uploaded(face, dtype=wp.int32, device=first.device),
@@ -134,7 +157,7 @@ class PartnerSearch:
         low, high = pose.min(axis=0), pose.max(axis=0)
         middle, size = (low + high) / 2, float(np.linalg.norm(high - low)) or 1.0
         pose, placed = (pose - middle) / size, (placed - middle) / size
-        known = np.full(shape, -1, dtype=np.int32) if near is None else self._place[near.face.numpy()]
+        known = np.full(shape, -1, dtype=np.int32) if near is None else self._place[near.face_on_host]
         with device_turn(device):
             self._surface.points = new_arrays.uploaded(pose[self._vertex][None], dtype=wp.vec3, device=device)
             partner = new_arrays.empty(shape, dtype=wp.int32, device=device)

@@ -100,7 +100,7 @@ def reference_signs(
     """
     sign = np.sign(areas_at(values, layout.corner_element)).astype(np.int8)
     np.negative(sign, out=sign, where=is_turned)
-    partner = layout.partners.face.numpy()
+    partner = layout.partners.face_on_host
     most = np.sign(np.where(partner >= 0, sign[partner], 0).sum(axis=1))
     return np.where(most != 0, most, sign[source_face]).astype(np.int8)
 
@@ -110,7 +110,7 @@ def _find_tiles(layout: ValueLayout, values: Floats, start: Floats) -> _Tiles:
     lower, upper = np.floor(start + ON_BORDER), np.ceil(start - ON_BORDER)
     if all(_is_within_one_tile(values[:, k], start[:, k]) for k in (0, 1)):
         return _Tiles(lower, upper)
-    partner, row = layout.partners.face.numpy(), layout.corner_row.ravel()
+    partner, row = layout.partners.face_on_host, layout.corner_row.ravel()
     first, second, third = (values[layout.corner_element[:, k]] for k in range(3))
     lowest = np.floor(np.minimum(np.minimum(first, second), third))
     highest = np.ceil(np.maximum(np.maximum(first, second), third))
@@ -177,11 +177,11 @@ def _where_better(layout: ValueLayout, values: Floats, start: Floats, fitted: Fl
 
     Both the mean error and the mean square count: a few samples on an island that went decide the latter alone.
     """
-    row, partner = layout.corner_row, layout.partners.face.numpy()
+    row, partner = layout.corner_row, layout.partners.face_on_host
     chart = lowest_members(len(start), np.concatenate([row[:, :2], row[:, 1:]]))
     area = np.where(partner >= 0, layout.partners.area[:, None], 0.0)
     samples, owner = layout.partners.samples.T, chart[row[:, 0]]
-    element, weight = layout.corner_element[partner], layout.partners.weight.numpy()
+    element, weight = layout.corner_element[partner], layout.partners.weight_on_host
     squared = [np.zeros(partner.shape) for _ in range(2)]
     # One channel and one corner after the other takes a third of the time of arrays of all of them.
     for k in range(values.shape[1]):

@@ -152,7 +152,7 @@ def normal_errors(layout: ValueLayout, values: Floats, *shown: Floats) -> list[N
         values: (E, 3) float64, of the input, of length one.
         shown: each (N', 3, 3), normals at the corners of the output.
     """
-    face, weight = layout.partners.face.numpy(), layout.partners.weight.numpy()
+    face, weight = layout.partners.face_on_host, layout.partners.weight_on_host
     known = face >= 0
     area = np.broadcast_to(layout.partners.area[:, None], face.shape)[known]
     total = float(area.sum())
