@@ -18,6 +18,7 @@ from warpqem.attribute_fit.values import ValueLayout, fit_smooth_values
 from warpqem.mesh.components import lowest_members
 from warpqem.mesh.directions import unit_vectors
 from warpqem.mesh.edges import edge_key
+from warpqem.mesh.grouping import order_by
 
 __all__ = ["fit_texture", "reference_signs"]
 
@@ -133,10 +134,21 @@ def _is_within_one_tile(values: Floats, start: Floats) -> bool:
 
 def _find_outline(faces: Ints, corner_row: Ints, row_count: int) -> _Outline:
     tail, head = corner_row.ravel().astype(np.int64), np.roll(corner_row, -1, axis=1).ravel().astype(np.int64)
-    is_open = ~np.isin(tail * row_count + head, head * row_count + tail)
-    key = edge_key(faces.ravel(), np.roll(faces, -1, axis=1).ravel(), int(faces.max()) + 1)
-    _, edge, count = np.unique(key, return_inverse=True, return_counts=True)
-    seam = is_open & (count[edge.ravel()] > 1)
+    vertex_count = int(faces.max()) + 1
+    key = edge_key(faces.ravel(), np.roll(faces, -1, axis=1).ravel(), vertex_count)
+    order = order_by(key, vertex_count**2)
+    same = key[order[1:]] == key[order[:-1]]
+    first, second = order[:-1][same], order[1:][same]
+    if (same[1:] & same[:-1]).any():
+        is_open = ~np.isin(tail * row_count + head, head * row_count + tail)
+    else:
+        # With two faces at each edge it is open where these have other values.
+        opposite = (tail[first] == head[second]) & (head[first] == tail[second])
+        is_open = tail != head
+        is_open[first[opposite]] = is_open[second[opposite]] = False
+    has_beyond = np.zeros(len(key), dtype=bool)
+    has_beyond[first] = has_beyond[second] = True
+    seam = is_open & has_beyond
     leaving, arriving = (np.bincount(end[is_open], minlength=row_count) for end in (tail, head))
     before, after = np.full(row_count, -1), np.full(row_count, -1)
     before[head[seam]], after[tail[seam]] = tail[seam], head[seam]

@@ -75,10 +75,10 @@ def normal_misfits(layout: ValueLayout, values: Floats, start: Floats) -> Floats
 
     Args:
         layout: where they stand.
-        values: (E, 3) float64, of the input, of any length.
+        values: (E, 3) float64, of the input, unit vectors.
         start: (R, 3) float64, unit vectors.
     """
-    return misfits(layout.partners, layout.corner_element, unit_vectors(values), layout.corner_row, start)
+    return misfits(layout.partners, layout.corner_element, values, layout.corner_row, start)
 
 
 def own_normals(layout: ValueLayout, misfit: Floats, start: Floats) -> Floats:
@@ -98,7 +98,7 @@ def split_normals(faces: Ints, layout: ValueLayout, own: Iterable[Floats]) -> tu
         Where they stand then, and (R',) the row so far of each; the layout itself where nothing is split.
     """
     group, row = split_corners(faces, layout.corner_row, own)
-    if len(row) == len(np.unique(layout.corner_row)):
+    if len(row) == np.count_nonzero(np.bincount(layout.corner_row.ravel())):
         return layout, np.arange(int(layout.corner_row.max(initial=-1)) + 1, dtype=np.int32)
     return replace(layout, corner_row=group), row
 
