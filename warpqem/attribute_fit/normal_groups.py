@@ -38,7 +38,7 @@ def split_corners(faces: Ints, corner_row: Ints, fits: Iterable[Floats]) -> tupl
     Returns:
         (N', 3) int32, numbers from 0 to G, and (G,) the row that each of them was a part of.
     """
-    tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    tail, head = faces.ravel(), faces.take((1, 2, 0), axis=1).ravel()
     key = edge_key(tail, head, int(faces.max()) + 1)
     links = corner_links(faces, key, np.repeat(is_proper(faces), 3))
     row = corner_row.ravel()

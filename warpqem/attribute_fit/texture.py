@@ -133,9 +133,9 @@ def _is_within_one_tile(values: Floats, start: Floats) -> bool:
 
 
 def _find_outline(faces: Ints, corner_row: Ints, row_count: int) -> _Outline:
-    tail, head = corner_row.ravel().astype(np.int64), np.roll(corner_row, -1, axis=1).ravel().astype(np.int64)
+    tail, head = corner_row.ravel().astype(np.int64), corner_row.take((1, 2, 0), axis=1).ravel().astype(np.int64)
     vertex_count = int(faces.max()) + 1
-    key = edge_key(faces.ravel(), np.roll(faces, -1, axis=1).ravel(), vertex_count)
+    key = edge_key(faces.ravel(), faces.take((1, 2, 0), axis=1).ravel(), vertex_count)
     order = order_by(key, vertex_count**2)
     same = key[order[1:]] == key[order[:-1]]
     first, second = order[:-1][same], order[1:][same]

@@ -19,12 +19,12 @@ def lowest_members(node_count: int, edges: np.ndarray) -> np.ndarray:
     """
     lowest = np.arange(node_count)
     one, other = (np.ascontiguousarray(end, dtype=np.intp) for end in edges.T)
-    while not np.array_equal(one, other):
+    while (one != other).any():
         # Only roots come to point lower, so that a tree's root is its lowest node.
         np.minimum.at(lowest, np.maximum(one, other), np.minimum(one, other))
         while True:
             jumped = lowest[lowest]
-            if np.array_equal(jumped, lowest):
+            if (jumped == lowest).all():
                 break
             lowest = jumped
         one, other = lowest[one], lowest[other]

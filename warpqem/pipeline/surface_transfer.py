@@ -240,7 +240,7 @@ def joined_edges(
     sheets = faces if sheets is None else sheets
     half_edge = np.flatnonzero(np.repeat(is_proper(sheets), 3))
     # From 1 on, as no corner of some sheets is -1.
-    tail, head = (corner.ravel()[half_edge] + 1 for corner in (sheets, np.roll(sheets, -1, axis=1)))
+    tail, head = (corner.ravel()[half_edge] + 1 for corner in (sheets, sheets.take((1, 2, 0), axis=1)))
     count = int(sheets.max(initial=0)) + 2
     key = edge_key(tail, head, count)
     order = order_by(key, count * count)
@@ -248,7 +248,7 @@ def joined_edges(
     pair = np.flatnonzero(key[1:] == key[:-1])
     if len(seams):
         later = half_edge[pair + 1]
-        pair = pair[~_on_seams(faces.ravel()[later], np.roll(faces, -1, axis=1).ravel()[later], seams)]
+        pair = pair[~_on_seams(faces.ravel()[later], faces.take((1, 2, 0), axis=1).ravel()[later], seams)]
     return half_edge[pair], half_edge[pair + 1]
 
 
@@ -260,5 +260,6 @@ def _on_seams(tail: np.ndarray, head: np.ndarray, seams: np.ndarray) -> np.ndarr
     found = is_end[tail] & is_end[head]
     near = np.flatnonzero(found)
     key = edge_key(tail[near], head[near], vertex_count)
-    found[near] = np.isin(key, edge_key(seams[:, 0], seams[:, 1], vertex_count))
+    wanted = np.sort(edge_key(seams[:, 0], seams[:, 1], vertex_count))
+    found[near] = wanted[np.searchsorted(wanted[:-1], key)] == key
     return found
