@@ -57,7 +57,10 @@ def link_half_edges(
     border_out: wp.array[wp.int32],
     border_in: wp.array[wp.int32],
 ):
-    """What lies across each edge of each face; the border arrays are -1 before. Of several borders at a vertex the last counts."""
+    """What lies across each edge of a face; the border arrays are -1 before.
+
+    Of several borders at a vertex the last counts.
+    """
     face = wp.tid()
     for k in range(3):
         h = 3 * face + k

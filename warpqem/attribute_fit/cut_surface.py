@@ -85,10 +85,11 @@ def _joined_corners(
     corner = topology.ravel()
     (after, last), (other_after, other_last) = ((_turned(edge, 1), _turned(edge, 2)) for edge in (first, second))
     along = corner[first] == corner[second]
+    at_first, at_after = np.where(along, second, other_after), np.where(along, other_after, second)
     # Faces back to back share the third vertex, too.
     third = np.flatnonzero(corner[last] == corner[other_last])
     one = np.concatenate([first, after, last[third]])
-    other = np.concatenate([np.where(along, second, other_after), np.where(along, other_after, second), other_last[third]])
+    other = np.concatenate([at_first, at_after, other_last[third]])
     return np.stack([one, other], axis=1)
 
 

@@ -187,7 +187,7 @@ class PartnerSearch:
         return Partners(partner, weight, area / (area.max(initial=0.0) or 1.0), self._weights, device)
 
 
-def _doubled_areas(points: Floats, faces: npt.NDArray[np.int32]) -> Floats:
+def _doubled_areas(points: npt.NDArray[np.floating], faces: npt.NDArray[np.int32]) -> Floats:
     """Twice the areas (N,) of faces (N, 3): what NumPy's cross products and norms give, column by column."""
     a, b, c = (points[faces[:, k]].T for k in range(3))
     (u, v, w), (x, y, z) = b - a, c - a

@@ -154,20 +154,19 @@ def normal_errors(layout: ValueLayout, values: Floats, *shown: Floats) -> list[N
     """
     face, weight = layout.partners.face_on_host, layout.partners.weight_on_host
     known = face >= 0
-    if known.all():
-        # Next to always so, and a view.
-        known = np.s_[...]
-    area = np.broadcast_to(layout.partners.area[:, None], face.shape)[known].ravel()
+    # A slice is a view, and next to always enough.
+    chosen = np.s_[:] if known.all() else known
+    area = np.broadcast_to(layout.partners.area[:, None], face.shape)[chosen].ravel()
     total = float(area.sum())
     if not total > 0:
         return [NormalErrors(0.0, 0.0, 0.0, 0.0)] * len(shown)
-    element = layout.corner_element[face[known].ravel()]
-    weight = weight[known].reshape(-1, 3).astype(np.float64)
+    element = layout.corner_element[face[chosen].ravel()]
+    weight = weight[chosen].reshape(-1, 3).astype(np.float64)
     # One corner after the other takes half the time of an array of all three.
     wanted = unit_vectors(np.add.reduce([weight[:, k : k + 1] * values[element[:, k]] for k in range(3)]))
     found = []
     for corners in shown:
-        normals = unit_vectors((layout.partners.samples @ corners)[known].reshape(-1, 3))
+        normals = unit_vectors((layout.partners.samples @ corners)[chosen].reshape(-1, 3))
         ways = [_mean_errors(wanted, normals, area / total)]
         samples = layout.input_samples
         if samples is not None:
