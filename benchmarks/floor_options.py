@@ -117,6 +117,13 @@ _STREAMED: dict[str, tuple[tuple[str, float], ...]] = {
         ("start_in", 1),
         ("misfit_out", 1),
     ),
+    "solve_channel": (
+        ("corner_in", 1),
+        ("area_in", 1),
+        ("free_in", 1),
+        ("misfit_in", 1),
+        ("change_out", 1),
+    ),
     "start_solution": (
         ("unknowns.adjacency_start", 1),
         ("unknowns.adjacent_corner", 1),

@@ -244,3 +244,59 @@ def improve_solution(
         left = residual[u, channel] - image
         residual[u, channel] = left
         direction_out[u, channel] = turn * here + step * left / diagonal
+
+
+@wp.kernel
+def solve_channel(
+    # in
+    first: wp.int32,
+    corner_in: wp.array[wp.int32],
+    area_in: wp.array[wp.float64],
+    free_in: wp.array[wp.int32],
+    own: wp.float64,
+    other: wp.float64,
+    misfit_in: wp.array2d[wp.float64],
+    begin: wp.float64,
+    schedule_in: wp.array2d[wp.float64],
+    # in and out
+    unknown: wp.array3d[wp.float64],
+    # out
+    change_out: wp.array2d[wp.float64],
+):
+    """All steps of one channel: what ``start_solution`` and ``improve_solution`` do, to the same bits.
+
+    Sums go over faces, each of which is read once, where those go over the faces of each unknown, which takes a thread
+    four times as long. ``schedule_in`` (steps, 2) are ``turn`` and ``step``, ``begin`` the step of the start,
+    ``unknown`` (C, 4, R) the residual, the direction, the diagonal and the image, all 0 before, as the change is.
+    """
+    channel = first + wp.tid()
+    for f in range(area_in.shape[0]):
+        area = area_in[f]
+        for k in range(3):
+            h = 3 * f + k
+            u = corner_in[h]
+            unknown[channel, 0, u] = unknown[channel, 0, u] + area * misfit_in[h, channel]
+            unknown[channel, 2, u] = unknown[channel, 2, u] + area * own
+    for u in range(free_in.shape[0]):
+        if free_in[u] == 1 and unknown[channel, 2, u] > wp.float64(0.0):
+            unknown[channel, 1, u] = begin * unknown[channel, 0, u] / unknown[channel, 2, u]
+    for i in range(schedule_in.shape[0]):
+        turn = schedule_in[i, 0]
+        step = schedule_in[i, 1]
+        for f in range(area_in.shape[0]):
+            area = area_in[f]
+            around = wp.float64(0.0)
+            for k in range(3):
+                around += unknown[channel, 1, corner_in[3 * f + k]]
+            for k in range(3):
+                u = corner_in[3 * f + k]
+                image = area * ((own - other) * unknown[channel, 1, u] + other * around)
+                unknown[channel, 3, u] = unknown[channel, 3, u] + image
+        for u in range(free_in.shape[0]):
+            if free_in[u] == 1 and unknown[channel, 2, u] > wp.float64(0.0):
+                here = unknown[channel, 1, u]
+                change_out[u, channel] = change_out[u, channel] + here
+                left = unknown[channel, 0, u] - unknown[channel, 3, u]
+                unknown[channel, 0, u] = left
+                unknown[channel, 1, u] = turn * here + step * left / unknown[channel, 2, u]
+            unknown[channel, 3, u] = wp.float64(0.0)

@@ -57,18 +57,28 @@ def link_half_edges(
     border_out: wp.array[wp.int32],
     border_in: wp.array[wp.int32],
 ):
-    """What lies across each edge; the border arrays are -1 before. Of several borders at a vertex the last counts."""
-    h = wp.tid()
-    u = s.corner_vertex[h]
-    v = half_edge_target(s.corner_vertex, h)
-    opposite = wp.int32(-1)
-    for i in range(s.adjacency_start[v], s.adjacency_start[v + 1]):
-        if half_edge_target(s.corner_vertex, s.adjacent_corner[i]) == u:
-            opposite = s.adjacent_corner[i]
-    opposite_out[h] = opposite
-    if opposite < 0:
-        wp.atomic_max(border_out, u, h)
-        wp.atomic_max(border_in, v, h)
+    """What lies across each edge of a face; the border arrays are -1 before.
+
+    Of several borders at a vertex the last counts.
+    """
+    face = wp.tid()
+    for k in range(3):
+        h = 3 * face + k
+        u = s.corner_vertex[h]
+        v = s.corner_vertex[3 * face + (k + 1) % 3]
+        opposite = wp.int32(-1)
+        # Of several the last counts, so that the search goes back from there.
+        first = s.adjacency_start[v]
+        i = s.adjacency_start[v + 1] - 1
+        while i >= first and opposite < 0:
+            other = s.adjacent_corner[i]
+            if half_edge_target(s.corner_vertex, other) == u:
+                opposite = other
+            i -= 1
+        opposite_out[h] = opposite
+        if opposite < 0:
+            wp.atomic_max(border_out, u, h)
+            wp.atomic_max(border_in, v, h)
 
 
 @wp.func
@@ -127,9 +137,11 @@ def hit_ring(s: Surface, t: wp.int32, vertex: wp.int32, query: wp.vec3, best: Hi
     """``best``, or a nearer point on the faces around a vertex."""
     hit = best
     for i in range(s.adjacency_start[vertex], s.adjacency_start[vertex + 1]):
-        other = hit_face(s, t, s.adjacent_corner[i] / 3, query)
-        if hit.face < 0 or other.squared < hit.squared:
-            hit = other
+        face = s.adjacent_corner[i] / 3
+        if face != hit.face:
+            other = hit_face(s, t, face, query)
+            if hit.face < 0 or other.squared < hit.squared:
+                hit = other
     return hit
 
 

@@ -1,5 +1,7 @@
 """Values fitted to those of the input's surface: what is reproduced, what stays, and that it is a minimum."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -26,6 +28,7 @@ from warpqem.measure.surface_values import CornerValues, SurfaceValues
 from warpqem.mesh.directions import unit_vectors
 from warpqem.mesh.smooth_normals import vertex_normals
 from warpqem.runtime import cpu_threads
+from warpqem.runtime.device import device_traits
 
 FINITE = st.floats(-100, 100, width=32)
 
@@ -106,6 +109,20 @@ def test_values_are_the_least_squares_over_the_samples(hills):
     free = np.ones(len(start), dtype=bool)
     found = start + solve.fit_values(hills.layout.partners, misfit, hills.layout.corner_row, free)
     np.testing.assert_allclose(found, oracle(hills, corners.reshape(-1, 3, 2), start), atol=1e-5)
+
+
+def test_channels_are_solved_to_the_bits_of_a_thread_for_each_unknown(hills, monkeypatch):
+    rng = np.random.default_rng(3)
+    row = hills.layout.corner_row
+    misfit = rng.normal(size=(*row.shape, 2))
+    free = rng.random(int(row.max()) + 1) < 0.8
+    found = []
+    for in_order in (False, True):
+        traits = replace(device_traits("cpu"), in_order=in_order)
+        monkeypatch.setattr(solve, "device_traits", lambda _, traits=traits: traits)
+        found.append(solve.fit_values(hills.layout.partners, misfit, row, free))
+    np.testing.assert_array_equal(*found)
+    assert (found[0][~free] == 0).all()
 
 
 @pytest.mark.parametrize("samples", [SAMPLES, SAMPLES_OF_FEW])

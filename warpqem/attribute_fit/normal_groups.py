@@ -38,7 +38,7 @@ def split_corners(faces: Ints, corner_row: Ints, fits: Iterable[Floats]) -> tupl
     Returns:
         (N', 3) int32, numbers from 0 to G, and (G,) the row that each of them was a part of.
     """
-    tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    tail, head = faces.ravel(), faces.take((1, 2, 0), axis=1).ravel()
     key = edge_key(tail, head, int(faces.max()) + 1)
     links = corner_links(faces, key, np.repeat(is_proper(faces), 3))
     row = corner_row.ravel()
@@ -46,8 +46,10 @@ def split_corners(faces: Ints, corner_row: Ints, fits: Iterable[Floats]) -> tupl
     is_near = np.ones(len(links), dtype=bool)
     for fit in fits:
         is_near &= _agree(fit, links) | _agree(unit_vectors(SAMPLES @ fit), links)
-    _, kept, group = np.unique(lowest_members(faces.size, links[is_near]), return_index=True, return_inverse=True)
-    return group.reshape(faces.shape).astype(np.int32), row[kept]
+    lowest = lowest_members(faces.size, links[is_near])
+    is_first = lowest == np.arange(faces.size)
+    group = (np.cumsum(is_first, dtype=np.int32) - 1)[lowest]
+    return group.reshape(faces.shape), row[is_first]
 
 
 def _agree(normals: Floats, links: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:

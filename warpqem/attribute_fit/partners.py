@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -60,14 +61,36 @@ class Partners:
     samples: Floats
     device: str
 
+    @cached_property
+    def face_on_host(self) -> npt.NDArray[np.int32]:
+        """``face``, read from the device once."""
+        found: npt.NDArray[np.int32] = self.face.numpy()
+        return found
+
+    @cached_property
+    def weight_on_host(self) -> npt.NDArray[np.float32]:
+        """``weight`` (N', S, 3), likewise."""
+        found: npt.NDArray[np.float32] = self.weight.numpy()
+        return found
+
+    @cached_property
+    def area_on_device(self) -> wp.array:
+        """``area``, uploaded once for all fits."""
+        return new_arrays.uploaded(self.area, dtype=wp.float64, device=self.device)
+
+    @cached_property
+    def samples_on_device(self) -> wp.array:
+        """``samples`` (S,) vec3, likewise."""
+        return new_arrays.uploaded(self.samples, dtype=wp.vec3, device=self.device)
+
     @classmethod
     def over_poses(cls, poses: Sequence[Partners]) -> Partners:
         """Partners in several poses as more samples of each face; areas are those of the first."""
         first = poses[0]
         if len(poses) == 1:
             return first
-        face = np.concatenate([one.face.numpy() for one in poses], axis=1)
-        weight = np.concatenate([one.weight.numpy() for one in poses], axis=1)
+        face = np.concatenate([one.face_on_host for one in poses], axis=1)
+        weight = np.concatenate([one.weight_on_host for one in poses], axis=1)
         with device_turn(first.device):
             on_device = (
                 new_arrays.uploaded(face, dtype=wp.int32, device=first.device),
@@ -131,10 +154,11 @@ class PartnerSearch:
         device, shape = self._device, (len(self._faces), len(self._weights))
         pose, placed = points.astype(np.float64), placed.astype(np.float64)
         # About the pose's middle, and parts of its size, so that single precision does.
-        low, high = pose.min(axis=0), pose.max(axis=0)
+        # Axis by axis: NumPy takes three times as long along rows of three.
+        low, high = (np.array([pick(axis) for axis in pose.T]) for pick in (np.min, np.max))
         middle, size = (low + high) / 2, float(np.linalg.norm(high - low)) or 1.0
         pose, placed = (pose - middle) / size, (placed - middle) / size
-        known = np.full(shape, -1, dtype=np.int32) if near is None else self._place[near.face.numpy()]
+        known = np.full(shape, -1, dtype=np.int32) if near is None else self._place[near.face_on_host]
         with device_turn(device):
             self._surface.points = new_arrays.uploaded(pose[self._vertex][None], dtype=wp.vec3, device=device)
             partner = new_arrays.empty(shape, dtype=wp.int32, device=device)
@@ -154,12 +178,19 @@ class PartnerSearch:
                 [partner, weight],
                 device=device,
             )
-            found = partner.numpy()
-            found = np.where(found >= 0, self._used[found], -1).astype(np.int32)
-            partner.assign(found)
+            if len(self._used) < len(self._turned):
+                partner = new_arrays.uploaded(np.append(self._used, -1)[partner.numpy()], dtype=wp.int32, device=device)
             if self._turned.any():
-                of_corner = weight.numpy()
+                found, of_corner = partner.numpy(), weight.numpy()
                 weight.assign(np.where(self._turned[found][..., None], of_corner[..., ::-1], of_corner))
-        corner = placed[self._faces]
-        area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
+        area = _doubled_areas(placed, self._faces)
         return Partners(partner, weight, area / (area.max(initial=0.0) or 1.0), self._weights, device)
+
+
+def _doubled_areas(points: npt.NDArray[np.floating], faces: npt.NDArray[np.int32]) -> Floats:
+    """Twice the areas (N,) of faces (N, 3): what NumPy's cross products and norms give, column by column."""
+    a, b, c = (points[faces[:, k]].T for k in range(3))
+    (u, v, w), (x, y, z) = b - a, c - a
+    one, two, three = v * z - w * y, w * x - u * z, u * y - v * x
+    areas: Floats = np.sqrt(one * one + two * two + three * three)
+    return areas

@@ -8,6 +8,8 @@ number of steps everywhere: nothing depends on threads.
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 import numpy.typing as npt
 import warp as wp
@@ -16,7 +18,7 @@ from warpqem.attribute_fit.partners import SAMPLES, Partners
 from warpqem.kernels import attribute_fit as kernels
 from warpqem.place.cluster_rows import group_rows
 from warpqem.runtime import new_arrays
-from warpqem.runtime.device import device_turn
+from warpqem.runtime.device import device_traits, device_turn
 from warpqem.runtime.part_launches import FIRST_ITEM, launch_in_parts
 
 __all__ = ["corner_fits", "fit_values", "misfits"]
@@ -30,6 +32,8 @@ OWN = float((SAMPLES[:, 0] ** 2).mean())
 OTHER = float((SAMPLES[:, 0] * SAMPLES[:, 1]).mean())
 # Eigenvalues of an element matrix scaled by its diagonal.
 LOW, HIGH = (OWN - OTHER) / OWN, (OWN + 2 * OTHER) / OWN
+# Saad 2003, "Iterative methods for sparse linear systems", algorithm 12.1.
+MIDDLE, HALF = (HIGH + LOW) / 2, (HIGH - LOW) / 2
 # Each step divides the error by three: this many leave two millionths of it.
 STEPS = 12
 
@@ -56,9 +60,9 @@ def misfits(
                 FIRST_ITEM,
                 partners.face,
                 partners.weight,
-                new_arrays.uploaded(partners.samples, dtype=wp.vec3, device=partners.device),
-                new_arrays.uploaded(corner_element.ravel(), dtype=wp.int32, device=partners.device),
-                new_arrays.uploaded(values, dtype=wp.float64, device=partners.device),
+                partners.samples_on_device,
+                new_arrays.uploaded(corner_element.ravel(), dtype=wp.int32, device=partners.device, copy=False),
+                new_arrays.uploaded(values, dtype=wp.float64, device=partners.device, copy=False),
                 new_arrays.uploaded(corner_start.ravel(), dtype=wp.int32, device=partners.device),
                 new_arrays.uploaded(start, dtype=wp.float64, device=partners.device),
             ],
@@ -90,39 +94,71 @@ def fit_values(
     """
     device, channels, row_count = partners.device, misfit.shape[2], len(free)
     with device_turn(device):
-        unknowns = kernels.Unknowns()
-        unknowns.corner = new_arrays.uploaded(corner_row.ravel(), dtype=wp.int32, device=device)
-        corner, first = group_rows(corner_row.ravel(), row_count)
-        unknowns.adjacency_start = new_arrays.uploaded(first, dtype=wp.int32, device=device)
-        unknowns.adjacent_corner = new_arrays.uploaded(corner, dtype=wp.int32, device=device)
-        unknowns.area = new_arrays.uploaded(partners.area, dtype=wp.float64, device=device)
-        unknowns.free = new_arrays.uploaded(free.astype(np.int32), dtype=wp.int32, device=device)
-        unknowns.own, unknowns.other = OWN, OTHER
-        residual, change, direction, following = (
-            new_arrays.empty((row_count, channels), dtype=wp.float64, device=device) for _ in range(4)
-        )
-        # Saad 2003, "Iterative methods for sparse linear systems", algorithm 12.1.
-        middle, half = (HIGH + LOW) / 2, (HIGH - LOW) / 2
-        ratio = half / middle
-        shape = (row_count, channels)
-        right = new_arrays.uploaded(misfit.reshape(-1, channels), dtype=wp.float64, device=device)
-        launch_in_parts(
-            kernels.start_solution,
-            shape,
-            [FIRST_ITEM, unknowns, right, 1.0 / middle],
-            [residual, change, direction],
-            device=device,
-        )
-        for _ in range(steps):
-            following_ratio = 1.0 / (2.0 * middle / half - ratio)
-            turn, step = following_ratio * ratio, 2.0 * following_ratio / half
+        corner = new_arrays.uploaded(corner_row.ravel(), dtype=wp.int32, device=device)
+        may_change = new_arrays.uploaded(free, dtype=wp.int32, device=device)
+        right = new_arrays.uploaded(misfit.reshape(-1, channels), dtype=wp.float64, device=device, copy=False)
+        change = new_arrays.zeros((row_count, channels), dtype=wp.float64, device=device)
+        if device_traits(device).in_order:
             launch_in_parts(
-                kernels.improve_solution,
-                shape,
-                [FIRST_ITEM, unknowns, direction, turn, step],
-                [residual, change, following],
+                kernels.solve_channel,
+                channels,
+                [
+                    FIRST_ITEM,
+                    corner,
+                    partners.area_on_device,
+                    may_change,
+                    OWN,
+                    OTHER,
+                    right,
+                    1.0 / MIDDLE,
+                    new_arrays.uploaded(_schedule(steps), dtype=wp.float64, device=device),
+                    new_arrays.zeros((channels, 4, row_count), dtype=wp.float64, device=device),
+                ],
+                [change],
                 device=device,
             )
-            direction, following, ratio = following, direction, following_ratio
+        else:
+            unknowns = kernels.Unknowns()
+            unknowns.corner, unknowns.area, unknowns.free = corner, partners.area_on_device, may_change
+            unknowns.own, unknowns.other = OWN, OTHER
+            _solve_by_unknowns(unknowns, corner_row, right, change, steps, device)
         found: Floats = change.numpy()
     return found
+
+
+def _solve_by_unknowns(
+    unknowns: kernels.Unknowns, corner_row: Ints, right: wp.array, change: wp.array, steps: int, device: str
+) -> None:
+    """The same with a thread for each unknown, which a device without order of its threads has to give its sums to."""
+    shape = change.shape
+    adjacent, start = group_rows(corner_row.ravel(), shape[0])
+    unknowns.adjacency_start = new_arrays.uploaded(start, dtype=wp.int32, device=device)
+    unknowns.adjacent_corner = new_arrays.uploaded(adjacent, dtype=wp.int32, device=device)
+    residual, direction, following = (new_arrays.empty(shape, dtype=wp.float64, device=device) for _ in range(3))
+    launch_in_parts(
+        kernels.start_solution,
+        shape,
+        [FIRST_ITEM, unknowns, right, 1.0 / MIDDLE],
+        [residual, change, direction],
+        device=device,
+    )
+    for turn, step in _schedule(steps):
+        launch_in_parts(
+            kernels.improve_solution,
+            shape,
+            [FIRST_ITEM, unknowns, direction, turn, step],
+            [residual, change, following],
+            device=device,
+        )
+        direction, following = following, direction
+
+
+@functools.cache
+def _schedule(steps: int) -> Floats:
+    """How much of the last direction each step takes, and of the scaled residual (steps, 2)."""
+    ratio, rows = HALF / MIDDLE, []
+    for _ in range(steps):
+        following = 1.0 / (2.0 * MIDDLE / HALF - ratio)
+        rows.append((following * ratio, 2.0 * following / HALF))
+        ratio = following
+    return np.array(rows)

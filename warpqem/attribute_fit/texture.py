@@ -18,6 +18,7 @@ from warpqem.attribute_fit.values import ValueLayout, fit_smooth_values
 from warpqem.mesh.components import lowest_members
 from warpqem.mesh.directions import unit_vectors
 from warpqem.mesh.edges import edge_key
+from warpqem.mesh.grouping import order_by
 
 __all__ = ["fit_texture", "reference_signs"]
 
@@ -100,7 +101,7 @@ def reference_signs(
     """
     sign = np.sign(areas_at(values, layout.corner_element)).astype(np.int8)
     np.negative(sign, out=sign, where=is_turned)
-    partner = layout.partners.face.numpy()
+    partner = layout.partners.face_on_host
     most = np.sign(np.where(partner >= 0, sign[partner], 0).sum(axis=1))
     return np.where(most != 0, most, sign[source_face]).astype(np.int8)
 
@@ -110,7 +111,7 @@ def _find_tiles(layout: ValueLayout, values: Floats, start: Floats) -> _Tiles:
     lower, upper = np.floor(start + ON_BORDER), np.ceil(start - ON_BORDER)
     if all(_is_within_one_tile(values[:, k], start[:, k]) for k in (0, 1)):
         return _Tiles(lower, upper)
-    partner, row = layout.partners.face.numpy(), layout.corner_row.ravel()
+    partner, row = layout.partners.face_on_host, layout.corner_row.ravel()
     first, second, third = (values[layout.corner_element[:, k]] for k in range(3))
     lowest = np.floor(np.minimum(np.minimum(first, second), third))
     highest = np.ceil(np.maximum(np.maximum(first, second), third))
@@ -132,11 +133,22 @@ def _is_within_one_tile(values: Floats, start: Floats) -> bool:
 
 
 def _find_outline(faces: Ints, corner_row: Ints, row_count: int) -> _Outline:
-    tail, head = corner_row.ravel().astype(np.int64), np.roll(corner_row, -1, axis=1).ravel().astype(np.int64)
-    is_open = ~np.isin(tail * row_count + head, head * row_count + tail)
-    key = edge_key(faces.ravel(), np.roll(faces, -1, axis=1).ravel(), int(faces.max()) + 1)
-    _, edge, count = np.unique(key, return_inverse=True, return_counts=True)
-    seam = is_open & (count[edge.ravel()] > 1)
+    tail, head = corner_row.ravel().astype(np.int64), corner_row.take((1, 2, 0), axis=1).ravel().astype(np.int64)
+    vertex_count = int(faces.max()) + 1
+    key = edge_key(faces.ravel(), faces.take((1, 2, 0), axis=1).ravel(), vertex_count)
+    order = order_by(key, vertex_count**2)
+    same = key[order[1:]] == key[order[:-1]]
+    first, second = order[:-1][same], order[1:][same]
+    if (same[1:] & same[:-1]).any():
+        is_open = ~np.isin(tail * row_count + head, head * row_count + tail)
+    else:
+        # With two faces at each edge it is open where these have other values.
+        opposite = (tail[first] == head[second]) & (head[first] == tail[second])
+        is_open = tail != head
+        is_open[first[opposite]] = is_open[second[opposite]] = False
+    has_beyond = np.zeros(len(key), dtype=bool)
+    has_beyond[first] = has_beyond[second] = True
+    seam = is_open & has_beyond
     leaving, arriving = (np.bincount(end[is_open], minlength=row_count) for end in (tail, head))
     before, after = np.full(row_count, -1), np.full(row_count, -1)
     before[head[seam]], after[tail[seam]] = tail[seam], head[seam]
@@ -177,11 +189,11 @@ def _where_better(layout: ValueLayout, values: Floats, start: Floats, fitted: Fl
 
     Both the mean error and the mean square count: a few samples on an island that went decide the latter alone.
     """
-    row, partner = layout.corner_row, layout.partners.face.numpy()
+    row, partner = layout.corner_row, layout.partners.face_on_host
     chart = lowest_members(len(start), np.concatenate([row[:, :2], row[:, 1:]]))
     area = np.where(partner >= 0, layout.partners.area[:, None], 0.0)
     samples, owner = layout.partners.samples.T, chart[row[:, 0]]
-    element, weight = layout.corner_element[partner], layout.partners.weight.numpy()
+    element, weight = layout.corner_element[partner], layout.partners.weight_on_host
     squared = [np.zeros(partner.shape) for _ in range(2)]
     # One channel and one corner after the other takes a third of the time of arrays of all of them.
     for k in range(values.shape[1]):

@@ -75,10 +75,10 @@ def normal_misfits(layout: ValueLayout, values: Floats, start: Floats) -> Floats
 
     Args:
         layout: where they stand.
-        values: (E, 3) float64, of the input, of any length.
+        values: (E, 3) float64, of the input, unit vectors.
         start: (R, 3) float64, unit vectors.
     """
-    return misfits(layout.partners, layout.corner_element, unit_vectors(values), layout.corner_row, start)
+    return misfits(layout.partners, layout.corner_element, values, layout.corner_row, start)
 
 
 def own_normals(layout: ValueLayout, misfit: Floats, start: Floats) -> Floats:
@@ -98,7 +98,7 @@ def split_normals(faces: Ints, layout: ValueLayout, own: Iterable[Floats]) -> tu
         Where they stand then, and (R',) the row so far of each; the layout itself where nothing is split.
     """
     group, row = split_corners(faces, layout.corner_row, own)
-    if len(row) == len(np.unique(layout.corner_row)):
+    if len(row) == np.count_nonzero(np.bincount(layout.corner_row.ravel())):
         return layout, np.arange(int(layout.corner_row.max(initial=-1)) + 1, dtype=np.int32)
     return replace(layout, corner_row=group), row
 
@@ -152,18 +152,21 @@ def normal_errors(layout: ValueLayout, values: Floats, *shown: Floats) -> list[N
         values: (E, 3) float64, of the input, of length one.
         shown: each (N', 3, 3), normals at the corners of the output.
     """
-    face, weight = layout.partners.face.numpy(), layout.partners.weight.numpy()
+    face, weight = layout.partners.face_on_host, layout.partners.weight_on_host
     known = face >= 0
-    area = np.broadcast_to(layout.partners.area[:, None], face.shape)[known]
+    # A slice is a view, and next to always enough.
+    chosen = np.s_[:] if known.all() else known
+    area = np.broadcast_to(layout.partners.area[:, None], face.shape)[chosen].ravel()
     total = float(area.sum())
     if not total > 0:
         return [NormalErrors(0.0, 0.0, 0.0, 0.0)] * len(shown)
-    element, weight = layout.corner_element[face[known]], weight[known].astype(np.float64)
+    element = layout.corner_element[face[chosen].ravel()]
+    weight = weight[chosen].reshape(-1, 3).astype(np.float64)
     # One corner after the other takes half the time of an array of all three.
     wanted = unit_vectors(np.add.reduce([weight[:, k : k + 1] * values[element[:, k]] for k in range(3)]))
     found = []
     for corners in shown:
-        normals = unit_vectors((layout.partners.samples @ corners)[known])
+        normals = unit_vectors((layout.partners.samples @ corners)[chosen].reshape(-1, 3))
         ways = [_mean_errors(wanted, normals, area / total)]
         samples = layout.input_samples
         if samples is not None:

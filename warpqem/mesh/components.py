@@ -18,17 +18,14 @@ def lowest_members(node_count: int, edges: np.ndarray) -> np.ndarray:
         (node_count,) int.
     """
     lowest = np.arange(node_count)
-    while True:
-        # Both ends' roots take the lower of the two, then every node jumps to its root's root.
-        roots = lowest[edges]
-        after = lowest.copy()
-        np.minimum.at(after, roots[:, 0], roots[:, 1])
-        np.minimum.at(after, roots[:, 1], roots[:, 0])
+    one, other = (np.ascontiguousarray(end, dtype=np.intp) for end in edges.T)
+    while (one != other).any():
+        # Only roots come to point lower, so that a tree's root is its lowest node.
+        np.minimum.at(lowest, np.maximum(one, other), np.minimum(one, other))
         while True:
-            jumped = after[after]
-            if np.array_equal(jumped, after):
+            jumped = lowest[lowest]
+            if (jumped == lowest).all():
                 break
-            after = jumped
-        if np.array_equal(after, lowest):
-            return lowest
-        lowest = after
+            lowest = jumped
+        one, other = lowest[one], lowest[other]
+    return lowest

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from warpqem.mesh.grouping import order_by
+
 __all__ = ["EdgeTable", "corner_links", "edge_key", "edge_table", "faces_across"]
 
 
@@ -39,7 +41,7 @@ def corner_links(faces: np.ndarray, key: np.ndarray, joins: np.ndarray) -> np.nd
         key: (3N,) int64, :func:`edge_key` of the edges from each corner to the next.
         joins: (3N,) bool, edges that count.
     """
-    order = np.argsort(key, kind="stable")
+    order = order_by(key, int(key.max(initial=0)) + 1)
     order = order[joins[order]]
     pair = np.flatnonzero(key[order[1:]] == key[order[:-1]])
     first, second = order[pair], order[pair + 1]

@@ -14,10 +14,12 @@ COUNTED_BITS = 16
 def order_by(number: npt.NDArray[np.integer], count: int) -> npt.NDArray[np.int64]:
     """The indices (n,) that bring numbers (n,) from 0 to below ``count`` in order, equal ones as they stand.
 
-    What a stable ``argsort`` gives, in a tenth to a quarter of its time; ``count`` is at most 2 ** 32.
+    What a stable ``argsort`` gives, in a tenth to a quarter of its time up to 2 ** 32 of them.
     """
-    low = np.argsort(number.astype(np.uint16), kind="stable")
-    if count <= 2**COUNTED_BITS:
-        return low
-    high = (number[low] >> COUNTED_BITS).astype(np.uint16)
-    return low[np.argsort(high, kind="stable")]
+    order = np.argsort(number.astype(np.uint16), kind="stable")
+    shift = COUNTED_BITS
+    while count > 1 << shift:
+        digit = (number[order] >> shift).astype(np.uint16)
+        order = order[np.argsort(digit, kind="stable")]
+        shift += COUNTED_BITS
+    return order

@@ -19,6 +19,7 @@ from warpqem.kernels import transfer as kernels
 from warpqem.mesh.blending import blend
 from warpqem.mesh.components import lowest_members
 from warpqem.mesh.edges import edge_key
+from warpqem.mesh.grouping import order_by
 from warpqem.mesh.mesh_input import finite_points, is_proper, read_faces, read_points
 from warpqem.mesh.seams import seam_ends
 from warpqem.place.cluster_rows import group_rows, list_faces_at
@@ -29,7 +30,7 @@ from warpqem.runtime.launches import launch
 if TYPE_CHECKING:
     from warpqem.pipeline.result import SimplifiedMesh
 
-__all__ = ["SurfaceTransfer", "check_fit", "check_result", "joined_faces", "surface_transfer"]
+__all__ = ["SurfaceTransfer", "check_fit", "check_result", "joined_edges", "joined_faces", "surface_transfer"]
 
 
 @dataclass(frozen=True)
@@ -228,12 +229,37 @@ def joined_faces(
     ``sheets`` (N, 3) are corners that only faces share which go on from each other, see
     :class:`warpqem.repair.mended_mesh.MeshRepair`, where the topology was mended.
     """
+    first, second = joined_edges(faces, seams, sheets)
+    return first // 3, second // 3
+
+
+def joined_edges(
+    faces: np.ndarray, seams: np.ndarray, sheets: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """The same as pairs of corners, from 0 to 3N: the edges from these to the next of their faces are one."""
     sheets = faces if sheets is None else sheets
-    vertex_count = int(faces.max()) + 1
-    key = edge_key(sheets.ravel(), np.roll(sheets, -1, axis=1).ravel(), int(sheets.max(initial=0)) + 1)
-    order = np.argsort(key, kind="stable")
-    order = order[np.repeat(is_proper(sheets), 3)[order]]
-    key = key[order]
-    authored = edge_key(faces.ravel(), np.roll(faces, -1, axis=1).ravel(), vertex_count)[order[1:]]
-    pair = np.flatnonzero((key[1:] == key[:-1]) & ~np.isin(authored, edge_key(seams[:, 0], seams[:, 1], vertex_count)))
-    return order[pair] // 3, order[pair + 1] // 3
+    half_edge = np.flatnonzero(np.repeat(is_proper(sheets), 3))
+    # From 1 on, as no corner of some sheets is -1.
+    tail, head = (corner.ravel()[half_edge] + 1 for corner in (sheets, sheets.take((1, 2, 0), axis=1)))
+    count = int(sheets.max(initial=0)) + 2
+    key = edge_key(tail, head, count)
+    order = order_by(key, count * count)
+    key, half_edge = key[order], half_edge[order]
+    pair = np.flatnonzero(key[1:] == key[:-1])
+    if len(seams):
+        later = half_edge[pair + 1]
+        pair = pair[~_on_seams(faces.ravel()[later], faces.take((1, 2, 0), axis=1).ravel()[later], seams)]
+    return half_edge[pair], half_edge[pair + 1]
+
+
+def _on_seams(tail: np.ndarray, head: np.ndarray, seams: np.ndarray) -> np.ndarray:
+    """Which of some edges (E,) are among seams (S, 2): (E,) bool."""
+    vertex_count = int(max(tail.max(initial=0), head.max(initial=0), seams.max())) + 1
+    is_end = np.zeros(vertex_count, dtype=bool)
+    is_end[seams] = True
+    found = is_end[tail] & is_end[head]
+    near = np.flatnonzero(found)
+    key = edge_key(tail[near], head[near], vertex_count)
+    wanted = np.sort(edge_key(seams[:, 0], seams[:, 1], vertex_count))
+    found[near] = wanted[np.searchsorted(wanted[:-1], key)] == key
+    return found

@@ -65,7 +65,7 @@ def make_surface(
     )
     launch(
         walk_kernels.link_half_edges,
-        dim=len(corner_vertex),
+        dim=len(corner_vertex) // 3,
         inputs=[surface],
         outputs=[surface.opposite, surface.border_out, surface.border_in],
         device=device,

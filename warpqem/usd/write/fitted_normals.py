@@ -106,7 +106,7 @@ class _Shading:
 
     def fit_tilts(self, poses: Sequence[NormalPose], layouts: Sequence[ValueLayout]) -> npt.NDArray[np.float64]:
         """The tilts (K, R, 3) of the output's normals in K poses, 0 where there is none; splits `corner_row`."""
-        values = [self.of_input(pose.points) for pose in poses]
+        values = [unit_vectors(self.of_input(pose.points)) for pose in poses]
         starts = [self.of_faces(pose.placed) for pose in poses]
         missed = [normal_misfits(*given) for given in zip(layouts, values, starts, strict=True)]
         own = (own_normals(*given) for given in zip(layouts, missed, starts, strict=True))

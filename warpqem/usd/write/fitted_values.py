@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -33,6 +33,21 @@ CornerRows = npt.NDArray[np.int32]
 # Samples over time that decide where normals are split: far more than it takes to see an edge.
 MAX_SPLIT_SAMPLES = 8
 POINT_INTERPOLATIONS = (UsdGeom.Tokens.vertex, UsdGeom.Tokens.varying)
+
+
+@dataclass(frozen=True)
+class _Normals:
+    """Normals at a time, all of length one.
+
+    Attributes:
+        wanted: float64, shape (E, 3), of the input.
+        start: float64, shape (R, 3), transferred.
+        misfit: float64, shape (N', 3, 3), what these miss, see :func:`warpqem.attribute_fit.values.normal_misfits`.
+    """
+
+    wanted: npt.NDArray[np.float64]
+    start: npt.NDArray[np.float64]
+    misfit: npt.NDArray[np.float64]
 
 
 def kind_of_values(primvar: UsdGeom.Primvar) -> Kind | None:
@@ -96,28 +111,29 @@ def fit_transferred(
         return Samples(list(transferred), fitted), corner_row
     chosen = spread(list(transferred), MAX_SPLIT_SAMPLES)
 
-    def missed(code: Usd.TimeCode) -> npt.NDArray[np.float64]:
-        return normal_misfits(layout, _flat(samples[code]), unit_vectors(start(code)))
+    def normals_at(code: Usd.TimeCode) -> _Normals:
+        wanted, begin = unit_vectors(_flat(samples[code])), unit_vectors(start(code))
+        return _Normals(wanted, begin, normal_misfits(layout, wanted, begin))
 
-    misfits = {code: missed(code) for code in chosen}
-    own = (own_normals(layout, misfit, unit_vectors(start(code))) for code, misfit in misfits.items())
+    known = {code: normals_at(code) for code in chosen}
+    own = (own_normals(layout, one.misfit, one.start) for one in known.values())
     split, row = split_normals(transfer.faces, layout, own)
 
-    def fitted_normals(code: Usd.TimeCode, misfit: npt.NDArray[np.float64]) -> npt.NDArray[Any]:
-        return fit_normals(split, misfit, unit_vectors(start(code)[row])).astype(transferred[code].dtype)
+    def fitted_normals(code: Usd.TimeCode, given: _Normals) -> npt.NDArray[Any]:
+        return fit_normals(split, given.misfit, given.start[row]).astype(transferred[code].dtype)
 
-    held = {code: fitted_normals(code, misfit) for code, misfit in misfits.items()}
+    held = {code: fitted_normals(code, one) for code, one in known.items()}
     errors, both_ways = [], replace(layout, input_samples=transfer.input_samples())
-    for code, normals in held.items():
-        kept = unit_vectors(start(code))[layout.corner_row]
-        errors.append(normal_errors(both_ways, unit_vectors(_flat(samples[code])), kept, normals[split.corner_row]))
+    for code, one in known.items():
+        kept, fitted_ones = one.start[layout.corner_row], held[code][split.corner_row]
+        errors.append(normal_errors(both_ways, one.wanted, kept, fitted_ones))
     before, after = (NormalErrors.over_poses(one) for one in zip(*errors, strict=True))
     if not after.is_within(before):
         # Of a few faces a fit may be off by more on average, where an edge that went draws all of it aside.
         return transferred, corner_row
 
     def held_or_fitted(code: Usd.TimeCode) -> npt.NDArray[Any]:
-        return held[code] if code in held else fitted_normals(code, missed(code))
+        return held[code] if code in held else fitted_normals(code, normals_at(code))
 
     return Samples(list(transferred), held_or_fitted), corner_row if split is layout else split.corner_row
 
