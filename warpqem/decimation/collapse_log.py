@@ -59,8 +59,8 @@ class CollapseRecord(ArrayRecord):
         return CollapseRecord(**{field.name: getattr(self, field.name)[:count] for field in fields(self)})
 
     def chosen(self, kept: np.ndarray) -> CollapseRecord:
-        """Some of the collapses, (C,) bool."""
-        return CollapseRecord(**{field.name: getattr(self, field.name)[kept] for field in fields(self)})
+        """Some of the collapses, (C,) bool; each of their values is taken when it is first asked for."""
+        return _Chosen(self, kept)
 
     def roots(self, vertex_count: int) -> np.ndarray:
         """(V,) int32, the vertex that each vertex has collapsed into after all collapses."""
@@ -72,6 +72,28 @@ class CollapseRecord(ArrayRecord):
             root[self.removed[first:last]] = root[self.kept[first:last]]
         return root
 
+
+class _Chosen(CollapseRecord):
+    """Some collapses of a record, (C,) bool: most levels of a search are asked for none of their values."""
+
+    def __init__(self, whole: CollapseRecord, kept: np.ndarray) -> None:
+        self.__dict__.update(_whole=whole, _index=kept)
+
+    def __getattr__(self, name: str) -> np.ndarray:
+        if name not in _FIELDS:
+            raise AttributeError(name)
+        values = self.__dict__
+        if values["_index"].dtype == bool:
+            values["_index"] = np.flatnonzero(values["_index"])
+        found: np.ndarray = getattr(values["_whole"], name)[values["_index"]]
+        values[name] = found
+        return found
+
+    def __reduce__(self) -> tuple[type[CollapseRecord], tuple[np.ndarray, ...]]:
+        return CollapseRecord, tuple(getattr(self, name) for name in _FIELDS)
+
+
+_FIELDS = tuple(field.name for field in fields(CollapseRecord))
 
 # The arrays of a log in rows of four bytes each, so that one copy brings all of it to the host.
 _INTEGERS = ("kept", "removed", "left_opposite", "right_opposite", "faces_removed", "round_index")

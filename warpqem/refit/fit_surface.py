@@ -152,7 +152,7 @@ class _Refit:
         turns = max(1, min(len(key_frames), mesh.frame_count // FRAMES_PER_TURN))
         # Of a pruned component nothing is near to the output.
         is_left = placer.vertex_map[mesh.faces[:, 0]] >= 0
-        faces = mesh.faces[is_left]
+        faces = mesh.faces if is_left.all() else mesh.faces[is_left]
         seams = find_seams(placer.seam, mesh.faces, is_left, placer.vertex_map, self._faces, self._vertex_count)
         self._sizes = FitSizes.of(
             keys.points, placer.faces, self._corner_vertex, self._vertex_count, turns, len(seams[1].half_edge)
