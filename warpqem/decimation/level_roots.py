@@ -25,7 +25,7 @@ class LevelRoots:
         self._parent[ordered.log.removed] = ordered.log.kept
 
     def at(self, made: npt.NDArray[np.bool_]) -> npt.NDArray[np.int32]:
-        """(V,) int32, the vertex that each one collapsed into by some collapses, (C,) bool, each with those it needs."""
+        """(V,) int32, the vertex that each one collapsed into by collapses, (C,) bool, with all that they need."""
         changed = np.flatnonzero(made != self._made)
         if not len(changed):
             return self._root

@@ -7,7 +7,8 @@ import numpy.typing as npt
 import warp as wp
 
 from warpqem.kernels import large_faces as kernels
-from warpqem.measure.far_points import FacesAround, longest_edges, longest_edges_there
+from warpqem.measure.face_lists import FacesAround
+from warpqem.measure.far_points import longest_edges, longest_edges_there
 from warpqem.runtime import new_arrays
 from warpqem.runtime.launches import launch
 

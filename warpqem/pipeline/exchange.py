@@ -25,7 +25,7 @@ from warpqem.decimation.order_steps import OrderSteps
 from warpqem.frames.device_frames import DeviceSink, to_device
 from warpqem.frames.stream import ArrayFrames, ArraySink, counted_frames
 from warpqem.kernels.components import MAX_REMNANT_FACES
-from warpqem.measure.far_points import FacesAround
+from warpqem.measure.face_lists import FacesAround
 from warpqem.measure.unit_frames import UnitFrames
 from warpqem.mesh.mesh_input import AnimatedMesh
 from warpqem.pipeline.cut_levels import Choice, CutLevel, LevelFrames, placer_of
@@ -98,8 +98,8 @@ class _Search:
         self._whole, self._target = work, target_faces
         log, drops = ordered.log, ordered.drops
         self._forest = CollapseForest(log, drops, len(ordered.root))
-        around = FacesAround(work.mesh.faces, len(ordered.root))
-        level_faces = LevelFaces(work.mesh.faces, around.start, around.face, ordered)
+        around = self._around = FacesAround(work.mesh.faces, len(ordered.root))
+        level_faces = LevelFaces(work.mesh.faces, around.at, ordered)
         self._states = ClusterStates(work.mesh.faces, ordered, self._forest, level_faces)
         self._steps = OrderSteps(log, drops, len(work.mesh.faces))
         self._step = self._first_step = self._steps.to(target_faces)
@@ -110,7 +110,7 @@ class _Search:
         units = UnitFrames(np.broadcast_to(mesh.centre + mesh.origin, (count, 3)), np.full(count, mesh.diagonal))
         every = slice(0, count)
         points = mesh.source.read(every)
-        self._frames = LevelFrames(self._work, mesh.points(every), points, units)
+        self._frames = LevelFrames(self._work, around, mesh.points(every), points, units)
         # Where pruning alone led here there are no collapses.
         limit = SPOT * float(log.recent_error[-1]) if len(log) else 0.0
         self._distances = LevelDistances(self._work, self._frames, around, limit)
@@ -214,7 +214,7 @@ class _Search:
             clip = _clip(mesh, self._whole.key_frames)
             points = to_device(clip.points(slice(0, clip.frame_count)), device)
             for _ in range(PLACED_TIMES):
-                placed = placer_of(self._whole, level, vertex).place(clip, points)
+                placed = placer_of(self._whole, self._around, level, vertex).place(clip, points)
                 self._states.move(vertex, placed.points, level.ordered)
         return level.ordered
 

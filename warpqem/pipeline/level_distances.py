@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from warpqem.measure.far_points import FacesAround
+from warpqem.measure.face_lists import FacesAround
 from warpqem.measure.large_faces import LargeFaces, large_faces
 from warpqem.measure.surface_places import (
     InputVertices,
@@ -20,6 +20,7 @@ from warpqem.measure.surface_places import (
     furthest_with_large,
     input_side,
 )
+from warpqem.mesh.grouping import any_corner
 from warpqem.pipeline.cut_levels import CutLevel, LevelFrames
 from warpqem.pipeline.prepare import Prepared
 from warpqem.runtime.device import device_traits
@@ -154,13 +155,13 @@ class LevelDistances:
         """The faces of a level that are not what they were."""
         ordered = level.ordered
         face = ordered.face_map
-        changed = (self._corners[face] != ordered.faces).any(axis=1)
+        changed = any_corner(self._corners[face] != ordered.faces)
         if moved is None:
             changed[:] = True
         else:
             is_moved = np.zeros(len(ordered.root), dtype=bool)
             is_moved[moved] = True
-            changed |= is_moved[ordered.faces].any(axis=1)
+            changed |= any_corner(is_moved[ordered.faces])
         self._corners[face] = ordered.faces
         return np.flatnonzero(changed)
 
@@ -175,11 +176,12 @@ class LevelDistances:
 
     def _input_side(self, level: CutLevel, wanted: np.ndarray) -> Side:
         """The input, by the faces at the members of clusters that are wanted (V,) or next to these."""
-        ordered = level.ordered
+        ordered, lanes, count = level.ordered, self._frames.reference.lanes, len(level.ordered.root)
+        if device_traits(self._device).own_memory:
+            return input_side(lanes, self._around, ordered.root, count)
         next_to = wanted.copy()
-        next_to[ordered.faces[wanted[ordered.faces].any(axis=1)]] = True
-        face = np.flatnonzero(next_to[ordered.root[self._mesh.faces]].any(axis=1))
-        return input_side(self._frames.reference.lanes, self._around, ordered.root, face, len(ordered.root))
+        next_to[ordered.faces[any_corner(wanted[ordered.faces])]] = True
+        return input_side(lanes, self._around, ordered.root, count, self._around.at(next_to[ordered.root]))
 
     def clusters_at(self, level: CutLevel, limit: float) -> np.ndarray:
         """(m, 3) int32, three clusters at each place that is further away than a limit."""
