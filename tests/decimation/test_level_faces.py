@@ -22,6 +22,7 @@ class Ordered:
     def __init__(self, root, dropped):
         self.root, self.drops = np.array(root, dtype=np.int32), record(dropped)
         self.face_map = expected_faces(self.root, dropped)
+        self.faces = self.root[FACES[self.face_map]]
 
 
 def record(dropped) -> DropRecord:

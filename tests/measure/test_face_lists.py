@@ -1,5 +1,7 @@
 """Lists of faces at vertices and clusters, made on the host and by a sort on a device."""
 
+import itertools
+
 import numpy as np
 import pytest
 import warp as wp
@@ -21,7 +23,7 @@ def expected(numbers, count):
 
 
 def listed(start, face):
-    return [face[first:last] for first, last in zip(start[:-1], start[1:], strict=True)]
+    return [face[first:last] for first, last in itertools.pairwise(start)]
 
 
 def assert_same(found, wanted):

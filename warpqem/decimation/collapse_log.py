@@ -69,7 +69,7 @@ class CollapseRecord(ArrayRecord):
         # are independent.
         ends = [0, *(np.flatnonzero(np.diff(self.round_index)) + 1).tolist(), len(self)]
         for first, last in reversed(list(itertools.pairwise(ends))):
-            root[self.removed[first:last]] = root[self.kept[first:last]]
+            root[self.removed[first:last]] = root.take(self.kept[first:last])
         return root
 
 
@@ -85,7 +85,7 @@ class _Chosen(CollapseRecord):
         values = self.__dict__
         if values["_index"].dtype == bool:
             values["_index"] = np.flatnonzero(values["_index"])
-        found: np.ndarray = getattr(values["_whole"], name)[values["_index"]]
+        found: np.ndarray = getattr(values["_whole"], name).take(values["_index"], axis=0)
         values[name] = found
         return found
 

@@ -82,7 +82,7 @@ class DecimatedMesh:
         position: (V, B) points, where ordering put the kept vertices.
         quadric: (V, B) quadric of each kept vertex's cluster, about ``position``; that of the first key frame holds the
             attribute error too.
-        constrained: (3N,) int32, 1 at the input's border half-edges, 2 at its seams'.
+        constrained: (3N,) int8, 1 at the input's border half-edges, 2 at its seams'.
         line_rank: (V,) int, of input vertices: 2 at corners of seams, 1 elsewhere on a seam or border, 0 inside.
         non_manifold: (V,) bool, input vertices whose faces are not one fan; they keep their position.
         face_order: (N,) int32, the input face at each place of the order that faces had; None for the input's.

@@ -72,7 +72,7 @@ class CollapseForest:
         # Of one round no two collapses share a vertex.
         for first, last in itertools.pairwise(ends):
             kept = log.kept[first:last]
-            self._before[first:last] = self.last[kept]
+            self._before[first:last] = self.last.take(kept)
             self.last[kept] = index[first:last]
 
     @functools.cached_property
@@ -82,7 +82,7 @@ class CollapseForest:
         taken = np.full(self._vertex_count, len(log), dtype=np.int32)
         taken[log.removed] = index
         # A vertex is removed after all collapses that go by it.
-        after = np.append(taken[log.kept], np.int32(len(log)))
+        after = np.append(taken.take(log.kept), np.int32(len(log)))
         is_later = self._before >= 0
         after[self._before[is_later]] = index[is_later]
         return after
@@ -156,7 +156,11 @@ class CollapseForest:
         opposites = opposites[opposites[:, 1] >= 0]
         # Collapses come after those that they need: from two vertices, the earlier one goes on until both are the
         # collapse that joins them.
-        one, other = self._first[opposites[:, 0]], self._first[opposites[:, 1]]
-        while (one != other).any():
-            one, other = np.where(one < other, self._next[one], one), np.where(other < one, self._next[other], other)
-        return one
+        earlier, later = self._first[opposites[:, 0]], self._first[opposites[:, 1]]
+        found = []
+        while len(earlier):
+            earlier, later = np.minimum(earlier, later), np.maximum(earlier, later)
+            is_joined = earlier == later
+            found.append(later[is_joined])
+            earlier, later = self._next[earlier[~is_joined]], later[~is_joined]
+        return np.concatenate(found) if found else np.empty(0, dtype=np.int32)

@@ -32,6 +32,9 @@ class LevelFaces:
         self._root, self._dropped = ordered.root, _dropped(ordered.drops, len(ordered.root))
         self._is_left = np.zeros(len(faces), dtype=bool)
         self._is_left[ordered.face_map] = True
+        # Of the faces that are left.
+        self._corners = np.empty((len(faces), 3), dtype=np.int32)
+        self._corners[ordered.face_map] = ordered.faces
 
     def at(self, root: np.ndarray, drops: DropRecord) -> tuple[np.ndarray, np.ndarray]:
         """What :func:`warpqem.decimation.faces_left.faces_left` gives for a level.
@@ -43,11 +46,12 @@ class LevelFaces:
         dropped = _dropped(drops, len(root))
         face = self._at((root != self._root) | (dropped != self._dropped))
         corner = self._faces[face]
-        a, b, c = root[corner].T
+        self._corners[face] = corner_root = root[corner]
+        a, b, c = corner_root.T
         self._is_left[face] = (a != b) & (b != c) & (c != a) & ~dropped[corner[:, 0]]
         self._root, self._dropped = root, dropped
         face_map = np.flatnonzero(self._is_left).astype(np.int32)
-        return root[self._faces[face_map]], face_map
+        return self._corners.take(face_map, axis=0), face_map
 
 
 def _dropped(drops: DropRecord, vertex_count: int) -> npt.NDArray[np.bool_]:

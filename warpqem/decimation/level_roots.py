@@ -34,7 +34,7 @@ class LevelRoots:
         is_open = np.zeros(len(self._root), dtype=bool)
         is_open[self._root[removed]] = True
         self._parent[removed] = np.where(made[changed], kept, removed)
-        vertex = np.flatnonzero(is_open[self._root])
+        vertex = np.flatnonzero(is_open.take(self._root))
         root = self._root.copy()
         root[vertex] = self._followed(vertex)
         self._root, self._made = root, made

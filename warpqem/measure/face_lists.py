@@ -83,11 +83,11 @@ class FacesAround(FaceLists):
 
     def of(self, vertex: npt.NDArray[np.integer]) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int64]]:
         """The faces at some vertices, and of which of them (n,) each is, one after another."""
-        first = self.start[vertex]
-        count = self.start[1:][vertex] - first
+        first = self.start.take(vertex)
+        count = self.start[1:].take(vertex) - first
         row = np.repeat(np.arange(len(vertex)), count)
         place = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count) + first[row]
-        return self.face[place], row
+        return self.face.take(place), row
 
     def at(self, is_there: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
         """The faces that have one of some vertices, (V,) bool, at least; ascending."""

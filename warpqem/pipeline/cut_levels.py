@@ -120,7 +120,7 @@ def placer_of(work: Prepared, around: FacesAround, level: CutLevel, kept: np.nda
     ordered, faces = level.ordered, work.mesh.faces
     index = np.full(len(work.mesh.used), -1, dtype=np.int32)
     index[kept] = np.arange(len(kept), dtype=np.int32)
-    cluster = index[ordered.root]
+    cluster = index.take(ordered.root)
     if work.quadric_sums is None:
         # Only faces around count.
         near = around.at(cluster >= 0)

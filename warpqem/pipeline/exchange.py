@@ -98,6 +98,8 @@ class _Search:
         self._whole, self._target = work, target_faces
         log, drops = ordered.log, ordered.drops
         self._forest = CollapseForest(log, drops, len(ordered.root))
+        # The last place is of vertices without a collapse.
+        self._error = np.append(log.error, np.float32(-1.0))
         around = self._around = FacesAround(work.mesh.faces, len(ordered.root))
         level_faces = LevelFaces(work.mesh.faces, around.at, ordered)
         self._states = ClusterStates(work.mesh.faces, ordered, self._forest, level_faces)
@@ -202,7 +204,7 @@ class _Search:
         """The last collapse of the largest error at each of the furthest spots."""
         limit = max(NEAR_LARGEST * largest, self._distances.limit)
         last = level.last[self._distances.clusters_at(level, limit)]
-        error = np.append(self._forest.log.error, -1.0)[last]
+        error = self._error[last]
         collapse = np.take_along_axis(last, error.argmax(axis=1)[:, None], axis=1)[:, 0]
         return np.unique(collapse[collapse >= 0])
 

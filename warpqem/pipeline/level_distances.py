@@ -72,7 +72,7 @@ class LevelDistances:
         changed = self._changed(level, moved)
         near = np.zeros(len(ordered.root), dtype=bool)
         near[ordered.faces[changed]] = True
-        is_near, here = near[ordered.root], self._here(level)
+        is_near, here = near.take(ordered.root), self._here(level)
         around = FacesAround(ordered.faces, len(ordered.root))
         input_lanes, level_lanes = self._frames.reference.lanes, self._frames.test.lanes
         side = Side(level_lanes, around, around)
@@ -81,14 +81,16 @@ class LevelDistances:
         there = self._input_side(level, near)
         faces, face = ordered.faces[changed], ordered.face_map[changed]
         own = SampledFaces(level_lanes, faces, faces, there, around)
-        kept = SimplifiedVertices(level_lanes, there, np.unique(faces), around)
+        kept = SimplifiedVertices(level_lanes, there, np.flatnonzero(near), around)
         places = vertices, own, kept
         if is_listed:
             found = self._renew_listed(level, places, side, here)
         else:
             found = self._renew_known(level, places, side, here, is_near, moved is None)
         self._far_vertex[vertex], self._far_face[face], self._far_kept[kept.vertex] = found
-        parts = self._far_vertex[here], self._far_large, self._far_face[ordered.face_map], self._far_kept[level.kept]
+        # Distances are not below 0.
+        of_vertices = self._far_vertex * here
+        parts = of_vertices, self._far_large, self._far_face.take(ordered.face_map), self._far_kept.take(level.kept)
         return max(self.limit, *(float(part.max(initial=0.0)) for part in parts))
 
     def _renew_known(
@@ -155,19 +157,19 @@ class LevelDistances:
         """The faces of a level that are not what they were."""
         ordered = level.ordered
         face = ordered.face_map
-        changed = any_corner(self._corners[face] != ordered.faces)
+        changed = any_corner(self._corners.take(face, axis=0) != ordered.faces)
         if moved is None:
             changed[:] = True
         else:
             is_moved = np.zeros(len(ordered.root), dtype=bool)
             is_moved[moved] = True
-            changed |= any_corner(is_moved[ordered.faces])
+            changed |= any_corner(is_moved.take(ordered.faces))
         self._corners[face] = ordered.faces
         return np.flatnonzero(changed)
 
     def _here(self, level: CutLevel) -> np.ndarray:
         """(V,) bool, input vertices that a level has something of."""
-        here: np.ndarray = level.is_kept[level.ordered.root] & self._mesh.used
+        here: np.ndarray = level.is_kept.take(level.ordered.root) & self._mesh.used
         return here
 
     def _distances(self, *places: Places) -> list[np.ndarray]:

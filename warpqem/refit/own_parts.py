@@ -177,7 +177,7 @@ def _at_few(
     if not is_small.any():
         return np.empty(0, dtype=np.int64)
     # Vertices without a component are no corners.
-    return np.flatnonzero(is_small[component[vertex_map]][corners[:, 0]])
+    return np.flatnonzero(is_small[component[vertex_map]].take(corners[:, 0]))
 
 
 def _corners_of(faces: npt.NDArray[np.integer], vertex_count: int) -> npt.NDArray[np.int64]:
