@@ -45,3 +45,11 @@ def test_last_collapses_of_a_cut_are_the_last_of_those_kept(log):
 def test_faces_removed_by_a_cut_are_those_of_its_collapses(log):
     for forest, cut in cuts(log):
         assert forest.faces_removed(cut) == log.faces_removed[cut.kept].sum()
+
+
+def test_collapses_chosen_later_have_the_values_of_those_chosen_now(log):
+    for _, cut in cuts(log):
+        later, now = log.chosen_later(cut.kept), log.chosen(cut.kept)
+        for name, values in vars(now).items():
+            np.testing.assert_array_equal(getattr(later, name), values)
+        assert len(later) == len(now)

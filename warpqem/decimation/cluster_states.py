@@ -78,7 +78,7 @@ class ClusterStates:
             position=self._position,
             quadric=self._quadric,
             stopped="target",
-            log=ordered.log.chosen(cut.kept),
+            log=ordered.log.chosen_later(cut.kept),
             drops=drops,
         )
 

@@ -59,7 +59,12 @@ class CollapseRecord(ArrayRecord):
         return CollapseRecord(**{field.name: getattr(self, field.name)[:count] for field in fields(self)})
 
     def chosen(self, kept: np.ndarray) -> CollapseRecord:
-        """Some of the collapses, (C,) bool; each of their values is taken when it is first asked for."""
+        """Some of the collapses, (C,) bool."""
+        index = np.flatnonzero(kept)
+        return CollapseRecord(**{field.name: getattr(self, field.name).take(index, axis=0) for field in fields(self)})
+
+    def chosen_later(self, kept: np.ndarray) -> CollapseRecord:
+        """The same, of which each of the values is taken when it is first asked for."""
         return _Chosen(self, kept)
 
     def roots(self, vertex_count: int) -> np.ndarray:
@@ -88,9 +93,6 @@ class _Chosen(CollapseRecord):
         found: np.ndarray = getattr(values["_whole"], name).take(values["_index"], axis=0)
         values[name] = found
         return found
-
-    def __reduce__(self) -> tuple[type[CollapseRecord], tuple[np.ndarray, ...]]:
-        return CollapseRecord, tuple(getattr(self, name) for name in _FIELDS)
 
 
 _FIELDS = tuple(field.name for field in fields(CollapseRecord))

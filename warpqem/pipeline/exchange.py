@@ -218,7 +218,7 @@ class _Search:
             for _ in range(PLACED_TIMES):
                 placed = placer_of(self._whole, self._around, level, vertex).place(clip, points)
                 self._states.move(vertex, placed.points, level.ordered)
-        return level.ordered
+        return replace(level.ordered, log=self._forest.log.chosen(best.choice.cut.kept))
 
 
 def _clip(mesh: AnimatedMesh, frames: np.ndarray) -> AnimatedMesh:
