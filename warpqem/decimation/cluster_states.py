@@ -45,9 +45,10 @@ class ClusterStates:
         self, input_faces: np.ndarray, ordered: DecimatedMesh, forest: CollapseForest, faces: LevelFaces
     ) -> None:
         self._ordered, self._forest, self._faces = ordered, forest, faces
+        # Before what the host has to do: so the device has no wait for it.
+        self._position, self._quadric = wp.clone(ordered.position), wp.clone(ordered.quadric)
         self._roots = LevelRoots(ordered)
         self._present = MemorylessQuadrics(input_faces, ordered)
-        self._position, self._quadric = wp.clone(ordered.position), wp.clone(ordered.quadric)
         # The last collapse of each cluster that ordering left; there is no state of others, nor of pruned ones.
         left = forest.last
         is_left = (ordered.root == np.arange(len(left))) & (ordered.drops.vertex_drop < 0)

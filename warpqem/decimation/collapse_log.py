@@ -63,6 +63,10 @@ class CollapseRecord(ArrayRecord):
         index = np.flatnonzero(kept)
         return CollapseRecord(**{field.name: getattr(self, field.name).take(index, axis=0) for field in fields(self)})
 
+    def made(self) -> CollapseRecord:
+        """The same with all of its values."""
+        return self
+
     def chosen_later(self, kept: np.ndarray) -> CollapseRecord:
         """The same, of which each of the values is taken when it is first asked for."""
         return _Chosen(self, kept)
@@ -83,6 +87,10 @@ class _Chosen(CollapseRecord):
 
     def __init__(self, whole: CollapseRecord, kept: np.ndarray) -> None:
         self.__dict__.update(_whole=whole, _index=kept)
+
+    def made(self) -> CollapseRecord:
+        """The same with all of its values."""
+        return CollapseRecord(**{name: getattr(self, name) for name in _FIELDS})
 
     def __getattr__(self, name: str) -> np.ndarray:
         if name not in _FIELDS:

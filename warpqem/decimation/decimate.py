@@ -160,11 +160,13 @@ def order_collapses(
         launch(add_attributes, len(frames.quadric), [state.wedges.quadric], [frames.quadric], device=device)
     # What follows needs their memory.
     del state, adjacency, steps, kinds, orderer
+    if arrangement is not None and len(drops):
+        drops = drops.for_vertices(arrangement.host_vertex)
+    log, root, faces, face_map = left.read(count, face_count, drops, brought)
     row = np.arange(vertex_count, dtype=np.int32)
     if arrangement is not None:
-        row, drops = arrangement.host_place, drops.for_vertices(arrangement.host_vertex)
+        row = arrangement.host_place
         edges = edges.renumbered(arrangement.restore_half_edges(edges.half_edge), arrangement.host_vertex)
-    log, root, faces, face_map = left.read(count, face_count, drops, brought)
     return DecimatedMesh(
         faces=faces,
         face_map=face_map,

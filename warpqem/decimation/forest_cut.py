@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import functools
 import itertools
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +20,7 @@ import numpy.typing as npt
 
 from warpqem.decimation.collapse_log import CollapseRecord
 from warpqem.decimation.pruning import DropRecord
+from warpqem.runtime.ahead import done_ahead
 
 __all__ = ["CollapseForest", "Cut", "last_collapses"]
 
@@ -63,6 +65,7 @@ class CollapseForest:
 
     def __init__(self, log: CollapseRecord, drops: DropRecord, vertex_count: int) -> None:
         self.log, self.drops, self._vertex_count = log, drops, vertex_count
+        self._ahead: Callable[[], tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]] | None = None
         self._all_removed = int(log.faces_removed.sum())
         ends = [0, *(np.flatnonzero(np.diff(log.round_index)) + 1).tolist(), len(log)]
         # The collapse before each one that went by the same vertex, (C,); -1 for none.
@@ -75,8 +78,20 @@ class CollapseForest:
             self._before[first:last] = self.last.take(kept)
             self.last[kept] = index[first:last]
 
-    @functools.cached_property
+    def prepare_ahead(self) -> None:
+        """Find in a thread what cuts without some collapses take, for those who know that they will ask for some."""
+        self._ahead = done_ahead(lambda: (self._following, self._begun))
+
+    @property
     def _next(self) -> npt.NDArray[np.int32]:
+        return self._following if self._ahead is None else self._ahead()[0]
+
+    @property
+    def _first(self) -> npt.NDArray[np.int32]:
+        return self._begun if self._ahead is None else self._ahead()[1]
+
+    @functools.cached_property
+    def _following(self) -> npt.NDArray[np.int32]:
         """(C+1,), the collapse that takes the cluster of each one; C for none, later than all, followed by itself."""
         log, index = self.log, np.arange(len(self.log), dtype=np.int32)
         taken = np.full(self._vertex_count, len(log), dtype=np.int32)
@@ -88,7 +103,7 @@ class CollapseForest:
         return after
 
     @functools.cached_property
-    def _first(self) -> npt.NDArray[np.int32]:
+    def _begun(self) -> npt.NDArray[np.int32]:
         """(V,), the first collapse of each input vertex; C for none."""
         log, index = self.log, np.arange(len(self.log), dtype=np.int32)
         first = np.full(self._vertex_count, len(log), dtype=np.int32)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +12,7 @@ import warp as wp
 from warpqem.kernels import distance_points, face_lists
 from warpqem.mesh.grouping import any_corner, order_by
 from warpqem.runtime import new_arrays
+from warpqem.runtime.ahead import done_ahead
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import launch
 
@@ -55,17 +57,40 @@ class FacesAround(FaceLists):
         self.corner_vertex = np.ascontiguousarray(faces, dtype=np.int32).ravel()
         self._vertex_count = vertex_count
         self._there, self._corners = None, None
+        self._ahead: Callable[[], None] | None = None
 
-    @functools.cached_property
+    def make_ahead(self) -> None:
+        """Make the lists of the host in a thread meanwhile, for those who know that they will ask for them."""
+        self._ahead = done_ahead(self._make)
+
+    def _make(self) -> None:
+        _ = self._start, self._face
+
+    def _wait(self) -> None:
+        if self._ahead is not None:
+            self._ahead()
+            self._ahead = None
+
+    @property
     def start(self) -> npt.NDArray[np.int32]:
         """(V+1,) int32, where the list of each vertex starts."""
+        self._wait()
+        return self._start
+
+    @property
+    def face(self) -> npt.NDArray[np.int32]:
+        """(3N,) int32, the faces of one vertex after another."""
+        self._wait()
+        return self._face
+
+    @functools.cached_property
+    def _start(self) -> npt.NDArray[np.int32]:
         start = np.zeros(self._vertex_count + 1, dtype=np.int32)
         np.cumsum(np.bincount(self.corner_vertex, minlength=self._vertex_count), out=start[1:])
         return start
 
     @functools.cached_property
-    def face(self) -> npt.NDArray[np.int32]:
-        """(3N,) int32, the faces of one vertex after another."""
+    def _face(self) -> npt.NDArray[np.int32]:
         return (order_by(self.corner_vertex, self._vertex_count) // 3).astype(np.int32)
 
     def corners(self, device: str) -> wp.array:

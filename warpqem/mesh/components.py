@@ -18,14 +18,18 @@ def lowest_members(node_count: int, edges: np.ndarray) -> np.ndarray:
         (node_count,) int.
     """
     lowest = np.arange(node_count)
+    one, other = np.ascontiguousarray(edges.T, dtype=np.intp)
     while True:
         # Both ends' roots take the lower of the two, then every node jumps to its root's root.
-        roots = lowest[edges]
+        one, other = lowest.take(one), lowest.take(other)
+        # Those that have one root have the same one ever after.
+        apart = np.flatnonzero(one != other)
+        one, other = one.take(apart), other.take(apart)
         after = lowest.copy()
-        np.minimum.at(after, roots[:, 0], roots[:, 1])
-        np.minimum.at(after, roots[:, 1], roots[:, 0])
+        np.minimum.at(after, one, other)
+        np.minimum.at(after, other, one)
         while True:
-            jumped = after[after]
+            jumped = after.take(after)
             if np.array_equal(jumped, after):
                 break
             after = jumped

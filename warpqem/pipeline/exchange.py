@@ -35,7 +35,7 @@ from warpqem.pipeline.prepare import ORDER_END, Prepared, spare_count
 from warpqem.pipeline.result import with_frames, without_frames
 from warpqem.runtime.device import device_traits
 
-__all__ = ["exchanged", "order_with_spare", "spare_faces"]
+__all__ = ["exchanged", "faces_ahead", "order_with_spare", "spare_faces"]
 
 # The furthest spots of a round are those beyond this part of the largest distance.
 NEAR_LARGEST = 0.8
@@ -72,8 +72,25 @@ def order_with_spare(
     return work.order(progress, recorder) if spare == target else work.order_to(spare, progress, recorder)
 
 
+def faces_ahead(work: Prepared) -> FacesAround | None:
+    """The faces that exchanging looks for on the host, or None where nothing is exchanged.
+
+    A device with memory of its own orders meanwhile, and would wait for them afterwards.
+    """
+    target = work.goal.target_faces
+    if spare_faces(work, target) == target or not device_traits(work.device).own_memory:
+        return None
+    around = FacesAround(work.mesh.faces, work.mesh.vertex_count)
+    around.make_ahead()
+    return around
+
+
 def exchanged(
-    work: Prepared, ordered: DecimatedMesh, target_faces: int, progress: Progress | None = None
+    work: Prepared,
+    ordered: DecimatedMesh,
+    target_faces: int,
+    progress: Progress | None = None,
+    around: FacesAround | None = None,
 ) -> DecimatedMesh:
     """A level with so many faces, whose surface is less far from the input at most than that of the order's own.
 
@@ -82,29 +99,25 @@ def exchanged(
         ordered: what ordering left at :func:`spare_faces`.
         target_faces: faces asked for.
         progress: called now and then.
+        around: what :func:`faces_ahead` gave; None to make it here.
 
     Returns:
         ``ordered`` itself where nothing can be exchanged, or it has more faces.
     """
     if spare_faces(work, target_faces) == target_faces or len(ordered.faces) > target_faces:
         return ordered
-    return _Search(work, ordered, target_faces).run(progress)
+    return _Search(work, ordered, target_faces, around).run(progress)
 
 
 class _Search:
     """Cuts of one forest with about the same number of faces."""
 
-    def __init__(self, work: Prepared, ordered: DecimatedMesh, target_faces: int) -> None:
+    def __init__(
+        self, work: Prepared, ordered: DecimatedMesh, target_faces: int, around: FacesAround | None = None
+    ) -> None:
         self._whole, self._target = work, target_faces
         log, drops = ordered.log, ordered.drops
-        self._forest = CollapseForest(log, drops, len(ordered.root))
-        # The last place is of vertices without a collapse.
-        self._error = np.append(log.error, np.float32(-1.0))
-        around = self._around = FacesAround(work.mesh.faces, len(ordered.root))
-        level_faces = LevelFaces(work.mesh.faces, around.at, ordered)
-        self._states = ClusterStates(work.mesh.faces, ordered, self._forest, level_faces)
-        self._steps = OrderSteps(log, drops, len(work.mesh.faces))
-        self._step = self._first_step = self._steps.to(target_faces)
+        self._around = around = FacesAround(work.mesh.faces, len(ordered.root)) if around is None else around
         looked, keys = looked_frames(work.key_frames, np.flatnonzero(counted_frames(work.mesh.source)))
         mesh = _clip(work.mesh, looked)
         count = len(looked)
@@ -113,6 +126,15 @@ class _Search:
         every = slice(0, count)
         points = mesh.source.read(every)
         self._frames = LevelFrames(self._work, around, mesh.points(every), points, units)
+        self._forest = CollapseForest(log, drops, len(ordered.root))
+        if device_traits(work.device).own_memory:
+            self._forest.prepare_ahead()
+        # The last place is of vertices without a collapse.
+        self._error = np.append(log.error, np.float32(-1.0))
+        level_faces = LevelFaces(work.mesh.faces, around.at, ordered)
+        self._states = ClusterStates(work.mesh.faces, ordered, self._forest, level_faces)
+        self._steps = OrderSteps(log, drops, len(work.mesh.faces))
+        self._step = self._first_step = self._steps.to(target_faces)
         # Where pruning alone led here there are no collapses.
         limit = SPOT * float(log.recent_error[-1]) if len(log) else 0.0
         self._distances = LevelDistances(self._work, self._frames, around, limit)
@@ -218,7 +240,7 @@ class _Search:
             for _ in range(PLACED_TIMES):
                 placed = placer_of(self._whole, self._around, level, vertex).place(clip, points)
                 self._states.move(vertex, placed.points, level.ordered)
-        return replace(level.ordered, log=self._forest.log.chosen(best.choice.cut.kept))
+        return level.ordered
 
 
 def _clip(mesh: AnimatedMesh, frames: np.ndarray) -> AnimatedMesh:

@@ -158,13 +158,14 @@ class LevelDistances:
         ordered = level.ordered
         face = ordered.face_map
         changed = any_corner(self._corners.take(face, axis=0) != ordered.faces)
+        differs = np.flatnonzero(changed)
+        self._corners[face[differs]] = ordered.faces[differs]
         if moved is None:
             changed[:] = True
         else:
             is_moved = np.zeros(len(ordered.root), dtype=bool)
             is_moved[moved] = True
             changed |= any_corner(is_moved.take(ordered.faces))
-        self._corners[face] = ordered.faces
         return np.flatnonzero(changed)
 
     def _here(self, level: CutLevel) -> np.ndarray:
@@ -188,8 +189,9 @@ class LevelDistances:
     def clusters_at(self, level: CutLevel, limit: float) -> np.ndarray:
         """(m, 3) int32, three clusters at each place that is further away than a limit."""
         root, faces = level.ordered.root, self._mesh.faces
-        face, _ = self._around.of(np.flatnonzero((self._far_vertex > limit) & self._here(level)))
+        vertex = np.flatnonzero(self._far_vertex > limit)
+        face, _ = self._around.of(vertex[level.is_kept[root[vertex]] & self._mesh.used[vertex]])
         large = self._large[self._far_large > limit]
-        own = level.ordered.faces[self._far_face[level.ordered.face_map] > limit]
-        kept = level.kept[self._far_kept[level.kept] > limit]
+        own = level.ordered.faces[self._far_face.take(level.ordered.face_map) > limit]
+        kept = level.kept[self._far_kept.take(level.kept) > limit]
         return np.concatenate([root[faces[face]], root[faces[large]], own, np.repeat(kept[:, None], 3, axis=1)])

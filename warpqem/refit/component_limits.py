@@ -58,12 +58,12 @@ class ComponentLimits:
         self._source, self._placed = source, placed
         self._corners, self._used, self._vertex_map, self._faces = corners, used, vertex_map, faces
         vertex_count = placed.shape[1]
-        lowest = lowest_members(vertex_count, faces[:, [0, 1, 1, 2]].reshape(-1, 2))
+        lowest = lowest_members(vertex_count, np.concatenate([faces[:, :2], faces[:, 1:]]))
         of_face = lowest[faces[:, 0]]
         is_lowest = np.zeros(vertex_count, dtype=bool)
         is_lowest[of_face] = True
         # Numbers in the order of their lowest vertices.
-        self._component = (np.cumsum(is_lowest) - 1)[of_face]
+        self._component = (np.cumsum(is_lowest, dtype=np.int32) - 1).take(of_face)
         self.sampled = sampled = kernels.Limits()
         count = int(self._component.max(initial=-1)) + 1
         sampled.frame_scale = frame_scale
