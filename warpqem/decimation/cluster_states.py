@@ -39,12 +39,16 @@ class ClusterStates:
         ordered: what that left.
         forest: its collapses.
         faces: finds the faces of levels.
+
+    Attributes:
+        root_there: (V,) int32, the roots of the level asked for last, on a device with memory of its own; else None.
     """
 
     def __init__(
         self, input_faces: np.ndarray, ordered: DecimatedMesh, forest: CollapseForest, faces: LevelFaces
     ) -> None:
         self._ordered, self._forest, self._faces = ordered, forest, faces
+        self.root_there: wp.array | None = None
         # Before what the host has to do: so the device has no wait for it.
         self._position, self._quadric = wp.clone(ordered.position), wp.clone(ordered.quadric)
         self._roots = LevelRoots(ordered)
@@ -63,10 +67,14 @@ class ClusterStates:
         ordered, drops = self._ordered, self._ordered.drops
         drops = drops.chosen(cut.dropped, cut.kept) if len(drops) else drops
         root = self._roots.at(cut.kept)
+        device = ordered.position.device
+        if device_traits(str(device)).own_memory:
+            # As soon as it is known: the host has more to do.
+            self.root_there = new_arrays.uploaded(root, dtype=wp.int32, device=device)
         faces, face_map = self._faces.at(root, drops)
         last = self._forest.last_collapses(cut)
         is_kept = np.zeros(len(root), dtype=bool)
-        is_kept[faces] = True
+        is_kept[faces.ravel()] = True
         changed = np.flatnonzero(is_kept & (last != self._shown))
         self._shown[changed] = last[changed]
         self._restore(changed[last[changed] == self._left[changed]])

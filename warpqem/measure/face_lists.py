@@ -131,7 +131,7 @@ class FacesAround(FaceLists):
 
 def faces_at_clusters(
     around: FacesAround,
-    cluster: npt.NDArray[np.integer],
+    cluster: npt.NDArray[np.integer] | wp.array,
     count: int,
     faces: npt.NDArray[np.integer] | None,
     device: str,
@@ -140,14 +140,14 @@ def faces_at_clusters(
 
     Args:
         around: the faces.
-        cluster: (V,) int32.
+        cluster: (V,) int32, on the host, or where the lists are made there, on the device.
         count: clusters.
         faces: (n,) int, which of them are asked for; None for all. A device that makes the lists has all of them.
         device: Warp device.
     """
     if device_traits(device).own_memory:
-        there = new_arrays.uploaded(cluster, dtype=wp.int32, device=device)
-        return FaceLists(*_sorted_there(around.corners(device), there, count))
+        return FaceLists(*_sorted_there(around.corners(device), uploaded(cluster, device), count))
+    assert isinstance(cluster, np.ndarray)
     if faces is None:
         at_clusters = FacesAround(cluster[around.corner_vertex], count)
         return FaceLists(at_clusters.start, at_clusters.face)

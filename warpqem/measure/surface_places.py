@@ -218,7 +218,7 @@ Places = InputVertices | SampledFaces | SimplifiedVertices
 def input_side(
     lanes: wp.array,
     around: FacesAround,
-    cluster: npt.NDArray[np.integer],
+    cluster: npt.NDArray[np.integer] | wp.array,
     count: int,
     faces: npt.NDArray[np.integer] | None = None,
 ) -> Side:
@@ -227,7 +227,7 @@ def input_side(
     Args:
         lanes: (V, B) blocks of its points.
         around: its faces.
-        cluster: (V,) int32.
+        cluster: (V,) int32, on the host, or where the lists are made there, on the device.
         count: clusters.
         faces: (n,) int, those that are asked for at least; None for all.
     """

@@ -46,11 +46,21 @@ class CutLevel:
         last: (V,) int, the last collapse of each cluster, see :func:`warpqem.decimation.forest_cut.last_collapses`.
     """
 
-    def __init__(self, choice: Choice, ordered: DecimatedMesh, last: np.ndarray) -> None:
-        self.choice, self.ordered, self.last = choice, ordered, last
+    def __init__(
+        self, choice: Choice, ordered: DecimatedMesh, last: np.ndarray, root_there: wp.array | None = None
+    ) -> None:
+        self.choice, self.ordered, self.last, self._root_there = choice, ordered, last, root_there
         self.is_kept = np.zeros(len(ordered.root), dtype=bool)
         self.is_kept[ordered.faces] = True
         self.kept = np.flatnonzero(self.is_kept).astype(np.int32)
+
+    @property
+    def root_there(self) -> wp.array:
+        """(V,) int32, ``ordered.root`` on the device."""
+        if self._root_there is None:
+            device = self.ordered.position.device
+            self._root_there = new_arrays.uploaded(self.ordered.root, dtype=wp.int32, device=device)
+        return self._root_there
 
     def unmoved(self, before: CutLevel) -> np.ndarray:
         """(V,) bool, kept vertices whose clusters and placement are those of another level."""

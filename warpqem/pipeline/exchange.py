@@ -178,7 +178,8 @@ class _Search:
     def _prefix(self) -> Cut:
         """The beginning of the order that is tried now."""
         collapse_count, drop_count = self._steps.counts(self._step)
-        kept = np.arange(len(self._forest.log)) < collapse_count
+        kept = np.zeros(len(self._forest.log), dtype=bool)
+        kept[:collapse_count] = True
         return Cut(kept, np.arange(len(self._forest.drops)) < drop_count)
 
     def _filled(self, cut: Cut) -> Cut:
@@ -220,7 +221,7 @@ class _Search:
         """A level whose clusters are placed by their planes, but for those that ordering left."""
         ordered = self._states.at(cut)
         loose = np.ones(len(ordered.root), dtype=bool)
-        return CutLevel(Choice(cut, loose), ordered, self._forest.last_collapses(cut))
+        return CutLevel(Choice(cut, loose), ordered, self._forest.last_collapses(cut), self._states.root_there)
 
     def _collapses_at_spots(self, level: CutLevel, largest: float) -> np.ndarray:
         """The last collapse of the largest error at each of the furthest spots."""

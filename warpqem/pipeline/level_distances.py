@@ -65,6 +65,7 @@ class LevelDistances:
         At least the limit.
         """
         ordered = level.ordered
+        input_lanes, level_lanes = self._frames.reference.lanes, self._frames.test.lanes
         # Where the host would wait for which input faces are large, it asks for that along with how far they are.
         is_listed = moved is None and device_traits(self._device).own_memory
         if moved is None and not is_listed:
@@ -74,7 +75,6 @@ class LevelDistances:
         near[ordered.faces[changed]] = True
         is_near, here = near.take(ordered.root), self._here(level)
         around = FacesAround(ordered.faces, len(ordered.root))
-        input_lanes, level_lanes = self._frames.reference.lanes, self._frames.test.lanes
         side = Side(level_lanes, around, around)
         vertex = np.flatnonzero(is_near & here)
         vertices = InputVertices(input_lanes, side, vertex, ordered.root[vertex])
@@ -131,7 +131,8 @@ class LevelDistances:
         That finds the same.
         """
         lanes, root = self._frames.reference.lanes, level.ordered.root
-        listed = LargeFaces(lanes, self._around, self._frames.test.lanes, level.ordered.faces, root, self._device)
+        test, there = self._frames.test.lanes, level.root_there
+        listed = LargeFaces(lanes, self._around, test, level.ordered.faces, there, self._device)
         of_listed = SampledFaces(lanes, listed.corners, listed.clusters, side, side.faces)
         (*found, far), rows = furthest_with_large(places, of_listed, listed, self.limit, self._device)
         self._large = rows[1 : 1 + rows[0]].astype(np.int64)
@@ -157,15 +158,15 @@ class LevelDistances:
         """The faces of a level that are not what they were."""
         ordered = level.ordered
         face = ordered.face_map
+        if moved is None:
+            self._corners[face] = ordered.faces
+            return np.arange(len(face))
         changed = any_corner(self._corners.take(face, axis=0) != ordered.faces)
         differs = np.flatnonzero(changed)
         self._corners[face[differs]] = ordered.faces[differs]
-        if moved is None:
-            changed[:] = True
-        else:
-            is_moved = np.zeros(len(ordered.root), dtype=bool)
-            is_moved[moved] = True
-            changed |= any_corner(is_moved.take(ordered.faces))
+        is_moved = np.zeros(len(ordered.root), dtype=bool)
+        is_moved[moved] = True
+        changed |= any_corner(is_moved.take(ordered.faces))
         return np.flatnonzero(changed)
 
     def _here(self, level: CutLevel) -> np.ndarray:
@@ -181,7 +182,7 @@ class LevelDistances:
         """The input, by the faces at the members of clusters that are wanted (V,) or next to these."""
         ordered, lanes, count = level.ordered, self._frames.reference.lanes, len(level.ordered.root)
         if device_traits(self._device).own_memory:
-            return input_side(lanes, self._around, ordered.root, count)
+            return input_side(lanes, self._around, level.root_there, count)
         next_to = wanted.copy()
         next_to[ordered.faces[any_corner(wanted[ordered.faces])]] = True
         return input_side(lanes, self._around, ordered.root, count, self._around.at(next_to[ordered.root]))
