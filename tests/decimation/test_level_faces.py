@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from tests.support import meshes
 from warpqem.decimation.level_faces import LevelFaces
 from warpqem.decimation.pruning import DropRecord
-from warpqem.measure.far_points import FacesAround
+from warpqem.measure.face_lists import FacesAround
 
 FACES = np.ascontiguousarray(meshes.grid(4, 3)[1], dtype=np.int32)
 VERTEX_COUNT = 20
@@ -22,6 +22,7 @@ class Ordered:
     def __init__(self, root, dropped):
         self.root, self.drops = np.array(root, dtype=np.int32), record(dropped)
         self.face_map = expected_faces(self.root, dropped)
+        self.faces = self.root[FACES[self.face_map]]
 
 
 def record(dropped) -> DropRecord:
@@ -40,7 +41,7 @@ def expected_faces(root, dropped) -> np.ndarray:
 @given(LEVELS)
 def test_faces_of_levels_are_those_with_three_roots_that_were_not_pruned(levels):
     around = FacesAround(FACES, VERTEX_COUNT)
-    found = LevelFaces(FACES, around.start, around.face, Ordered(*levels[0]))
+    found = LevelFaces(FACES, around.at, Ordered(*levels[0]))
     for root, dropped in levels[1:]:
         roots = np.array(root, dtype=np.int32)
         faces, face_map = found.at(roots, record(dropped))

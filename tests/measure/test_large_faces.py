@@ -10,7 +10,7 @@ import warpqem
 from tests.support import meshes
 from warpqem.frames.blocks import pack_frames
 from warpqem.measure import large_faces as module
-from warpqem.measure.far_points import FacesAround
+from warpqem.measure.face_lists import FacesAround
 from warpqem.measure.large_faces import LargeFaces, large_faces
 
 FINE, FINE_FACES = meshes.grid(9, 9)

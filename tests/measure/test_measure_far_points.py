@@ -9,7 +9,8 @@ import warp as wp
 
 import warpqem.runtime.device
 from tests.support import meshes
-from warpqem.measure.far_points import FacesAround, PointLists, PointsAndFaces, furthest_from, longest_edges
+from warpqem.measure.face_lists import FacesAround
+from warpqem.measure.far_points import PointLists, PointsAndFaces, furthest_from, longest_edges
 from warpqem.measure.surface_places import (
     SAMPLES,
     InputVertices,
@@ -54,7 +55,7 @@ def every_place(reference, test, device):
     """Places of one grid and of another one with the same faces, each vertex of which is a cluster of its own."""
     around, vertex = FacesAround(FACES, VERTEX_COUNT), np.arange(VERTEX_COUNT)
     simplified = Side(test, around, around)
-    given = input_side(reference, around, vertex, np.arange(len(FACES)), VERTEX_COUNT)
+    given = input_side(reference, around, vertex, VERTEX_COUNT)
     return {
         "input vertices": InputVertices(reference, simplified, vertex, vertex),
         "input faces": SampledFaces(reference, FACES, FACES, simplified, around),

@@ -41,7 +41,9 @@ class Part:
         component = np.zeros(placed.shape[1], dtype=np.int32)
         scale = wp.full(1, frame_scale, dtype=wp.float32, device=device)
         vertex_map, faces = self.placed.vertex_map, self.placed.faces
-        return OwnParts(source, self.corners, vertex_map, placed, faces, component, limits, scale, device), limits
+        return OwnParts(
+            source, self.corners, np.unique(self.corners), vertex_map, placed, faces, component, limits, scale, device
+        ), limits
 
     def marks(self, own: OwnParts, points: np.ndarray, device: str) -> np.ndarray:
         """(C,) int32 of vertices at places too far."""

@@ -14,8 +14,9 @@ import warp as wp
 
 from warpqem.decimation.collapse_nodes import read_rows
 from warpqem.decimation.decimate import DecimatedMesh
-from warpqem.decimation.forest_cut import CollapseForest, Cut, last_collapses
+from warpqem.decimation.forest_cut import CollapseForest, Cut
 from warpqem.decimation.level_faces import LevelFaces
+from warpqem.decimation.level_roots import LevelRoots
 from warpqem.decimation.memoryless_quadrics import MemorylessQuadrics
 from warpqem.decimation.replay import copy_rows, put_rows
 from warpqem.kernels import anchor as kernels
@@ -38,16 +39,22 @@ class ClusterStates:
         ordered: what that left.
         forest: its collapses.
         faces: finds the faces of levels.
+
+    Attributes:
+        root_there: (V,) int32, the roots of the level asked for last, on a device with memory of its own; else None.
     """
 
     def __init__(
         self, input_faces: np.ndarray, ordered: DecimatedMesh, forest: CollapseForest, faces: LevelFaces
     ) -> None:
         self._ordered, self._forest, self._faces = ordered, forest, faces
-        self._present = MemorylessQuadrics(input_faces, ordered)
+        self.root_there: wp.array | None = None
+        # Before what the host has to do: so the device has no wait for it.
         self._position, self._quadric = wp.clone(ordered.position), wp.clone(ordered.quadric)
+        self._roots = LevelRoots(ordered)
+        self._present = MemorylessQuadrics(input_faces, ordered)
         # The last collapse of each cluster that ordering left; there is no state of others, nor of pruned ones.
-        left = last_collapses(ordered.log, np.ones(len(ordered.log), dtype=bool), len(ordered.root))
+        left = forest.last
         is_left = (ordered.root == np.arange(len(left))) & (ordered.drops.vertex_drop < 0)
         self._left = np.where(is_left, left, NO_STATE)
         # An input vertex has no recorded state, but a place.
@@ -57,18 +64,21 @@ class ClusterStates:
 
     def at(self, cut: Cut) -> DecimatedMesh:
         """A level; the arrays of positions and quadrics are shared by all of them."""
-        ordered, log = self._ordered, self._ordered.log.chosen(cut.kept)
-        drops = ordered.drops
+        ordered, drops = self._ordered, self._ordered.drops
         drops = drops.chosen(cut.dropped, cut.kept) if len(drops) else drops
-        root = log.roots(len(ordered.root))
+        root = self._roots.at(cut.kept)
+        device = ordered.position.device
+        if device_traits(str(device)).own_memory:
+            # As soon as it is known: the host has more to do.
+            self.root_there = new_arrays.uploaded(root, dtype=wp.int32, device=device)
         faces, face_map = self._faces.at(root, drops)
         last = self._forest.last_collapses(cut)
         is_kept = np.zeros(len(root), dtype=bool)
-        is_kept[faces] = True
+        is_kept[faces.ravel()] = True
         changed = np.flatnonzero(is_kept & (last != self._shown))
         self._shown[changed] = last[changed]
         self._restore(changed[last[changed] == self._left[changed]])
-        self._make(changed[last[changed] != self._left[changed]], root, face_map)
+        self._make(changed[last[changed] != self._left[changed]], faces, face_map, root)
         return replace(
             ordered,
             faces=faces,
@@ -77,7 +87,7 @@ class ClusterStates:
             position=self._position,
             quadric=self._quadric,
             stopped="target",
-            log=log,
+            log=ordered.log.chosen_later(cut.kept),
             drops=drops,
         )
 
@@ -88,7 +98,7 @@ class ClusterStates:
             wp.array(a, dtype=wp.int32, device=device) for a in (np.arange(len(vertex)), self._ordered.row[vertex])
         )
         copy_rows(position, every, self._position, row)
-        self._renew(vertex, level.root, level.face_map)
+        self._renew(vertex, level.faces, level.face_map, level.root)
 
     def made(self, vertex: np.ndarray) -> np.ndarray:
         """Those of some kept vertices whose state is none that ordering left; not those of one input vertex."""
@@ -108,7 +118,7 @@ class ClusterStates:
         index, row = (wp.array(a, dtype=wp.int32, device=device) for a in (vertex, self._ordered.row[vertex]))
         copy_rows(self._ordered.key_position, index, self._position, row)
 
-    def _make(self, vertex: np.ndarray, root: np.ndarray, face_map: np.ndarray) -> None:
+    def _make(self, vertex: np.ndarray, faces: np.ndarray, face_map: np.ndarray, root: np.ndarray) -> None:
         """Put some vertices in the middle of their clusters."""
         if not len(vertex):
             return
@@ -122,7 +132,7 @@ class ClusterStates:
         first = np.flatnonzero(np.diff(key >> 32, prepend=-1))
         member = key & 0xFFFFFFFF
         self._put_in_the_middle(self._ordered.row[vertex], first, member.astype(np.int32))
-        self._renew(vertex, root, face_map)
+        self._renew(vertex, faces, face_map, root)
 
     def _put_in_the_middle(self, row: np.ndarray, first: np.ndarray, member: np.ndarray) -> None:
         """Put the vertices of some rows (n,) in the middle of their members, each of which begin at ``first`` (n,)."""
@@ -139,9 +149,9 @@ class ClusterStates:
         middle = np.add.reduceat(read_rows(points, index), first, axis=0) / count[:, None, None, None]
         put_rows(position, row, middle)
 
-    def _renew(self, vertex: np.ndarray, root: np.ndarray, face_map: np.ndarray) -> None:
+    def _renew(self, vertex: np.ndarray, faces: np.ndarray, face_map: np.ndarray, root: np.ndarray) -> None:
         """Make the quadrics of some vertices those of the faces around them."""
         row = self._ordered.row[vertex].astype(np.int32)
         # What planes count does not matter to the weights that hold a vertex.
         scale = np.ones(len(row), dtype=np.float32)
-        self._present.fill(root, face_map, row, scale, self._position, self._quadric)
+        self._present.fill(faces, face_map, root, row, scale, self._position, self._quadric)

@@ -60,7 +60,16 @@ class CollapseRecord(ArrayRecord):
 
     def chosen(self, kept: np.ndarray) -> CollapseRecord:
         """Some of the collapses, (C,) bool."""
-        return CollapseRecord(**{field.name: getattr(self, field.name)[kept] for field in fields(self)})
+        index = np.flatnonzero(kept)
+        return CollapseRecord(**{field.name: getattr(self, field.name).take(index, axis=0) for field in fields(self)})
+
+    def made(self) -> CollapseRecord:
+        """The same with all of its values."""
+        return self
+
+    def chosen_later(self, kept: np.ndarray) -> CollapseRecord:
+        """The same, of which each of the values is taken when it is first asked for."""
+        return _Chosen(self, kept)
 
     def roots(self, vertex_count: int) -> np.ndarray:
         """(V,) int32, the vertex that each vertex has collapsed into after all collapses."""
@@ -69,9 +78,32 @@ class CollapseRecord(ArrayRecord):
         # are independent.
         ends = [0, *(np.flatnonzero(np.diff(self.round_index)) + 1).tolist(), len(self)]
         for first, last in reversed(list(itertools.pairwise(ends))):
-            root[self.removed[first:last]] = root[self.kept[first:last]]
+            root[self.removed[first:last]] = root.take(self.kept[first:last])
         return root
 
+
+class _Chosen(CollapseRecord):
+    """Some collapses of a record, (C,) bool: most levels of a search are asked for none of their values."""
+
+    def __init__(self, whole: CollapseRecord, kept: np.ndarray) -> None:
+        self.__dict__.update(_whole=whole, _index=kept)
+
+    def made(self) -> CollapseRecord:
+        """The same with all of its values."""
+        return CollapseRecord(**{name: getattr(self, name) for name in _FIELDS})
+
+    def __getattr__(self, name: str) -> np.ndarray:
+        if name not in _FIELDS:
+            raise AttributeError(name)
+        values = self.__dict__
+        if values["_index"].dtype == bool:
+            values["_index"] = np.flatnonzero(values["_index"])
+        found: np.ndarray = getattr(values["_whole"], name).take(values["_index"], axis=0)
+        values[name] = found
+        return found
+
+
+_FIELDS = tuple(field.name for field in fields(CollapseRecord))
 
 # The arrays of a log in rows of four bytes each, so that one copy brings all of it to the host.
 _INTEGERS = ("kept", "removed", "left_opposite", "right_opposite", "faces_removed", "round_index")

@@ -43,8 +43,8 @@ class ConstrainedEdges:
         return ConstrainedEdges(half_edge, self.kind, vertex[self.ends])
 
     def marks(self, count: int) -> np.ndarray:
-        """(count,) int32, what each half-edge is: 0 for most."""
-        marks = np.zeros(count, dtype=np.int32)
+        """(count,) int8, what each half-edge is: 0 for most."""
+        marks = np.zeros(count, dtype=np.int8)
         marks[self.half_edge] = self.kind
         return marks
 

@@ -82,7 +82,7 @@ class DecimatedMesh:
         position: (V, B) points, where ordering put the kept vertices.
         quadric: (V, B) quadric of each kept vertex's cluster, about ``position``; that of the first key frame holds the
             attribute error too.
-        constrained: (3N,) int32, 1 at the input's border half-edges, 2 at its seams'.
+        constrained: (3N,) int8, 1 at the input's border half-edges, 2 at its seams'.
         line_rank: (V,) int, of input vertices: 2 at corners of seams, 1 elsewhere on a seam or border, 0 inside.
         non_manifold: (V,) bool, input vertices whose faces are not one fan; they keep their position.
         face_order: (N,) int32, the input face at each place of the order that faces had; None for the input's.
@@ -160,11 +160,13 @@ def order_collapses(
         launch(add_attributes, len(frames.quadric), [state.wedges.quadric], [frames.quadric], device=device)
     # What follows needs their memory.
     del state, adjacency, steps, kinds, orderer
+    if arrangement is not None and len(drops):
+        drops = drops.for_vertices(arrangement.host_vertex)
+    log, root, faces, face_map = left.read(count, face_count, drops, brought)
     row = np.arange(vertex_count, dtype=np.int32)
     if arrangement is not None:
-        row, drops = arrangement.host_place, drops.for_vertices(arrangement.host_vertex)
+        row = arrangement.host_place
         edges = edges.renumbered(arrangement.restore_half_edges(edges.half_edge), arrangement.host_vertex)
-    log, root, faces, face_map = left.read(count, face_count, drops, brought)
     return DecimatedMesh(
         faces=faces,
         face_map=face_map,

@@ -36,7 +36,7 @@ def faces_left(
     roots = new_arrays.uploaded(root, dtype=wp.int32, device=corner_vertex.device)
     marked = MarkedFaces(corner_vertex, roots, drops)
     face_map = marked.listed(np.array(marked.rows(room).numpy()))
-    return root[faces[face_map]], face_map
+    return root.take(faces.take(face_map, axis=0)), face_map
 
 
 class MarkedFaces:

@@ -10,13 +10,17 @@ between the ends would fold onto each other.
 
 from __future__ import annotations
 
+import functools
 import itertools
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from warpqem.decimation.collapse_log import CollapseRecord
 from warpqem.decimation.pruning import DropRecord
+from warpqem.runtime.ahead import done_ahead
 
 __all__ = ["CollapseForest", "Cut", "last_collapses"]
 
@@ -54,28 +58,59 @@ class CollapseForest:
         log: the collapses.
         drops: the pruned components.
         vertex_count: input vertices.
+
+    Attributes:
+        last: (V,) int32, the last collapse of all that went by each vertex, -1 for none.
     """
 
     def __init__(self, log: CollapseRecord, drops: DropRecord, vertex_count: int) -> None:
         self.log, self.drops, self._vertex_count = log, drops, vertex_count
-        ends = [*np.flatnonzero(np.diff(log.round_index)) + 1, len(log)]
+        self._ahead: Callable[[], tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]] | None = None
+        self._all_removed = int(log.faces_removed.sum())
+        ends = [0, *(np.flatnonzero(np.diff(log.round_index)) + 1).tolist(), len(log)]
+        # The collapse before each one that went by the same vertex, (C,); -1 for none.
+        self._before = np.empty(len(log), dtype=np.int32)
+        self.last = np.full(vertex_count, -1, dtype=np.int32)
+        index = np.arange(len(log), dtype=np.int32)
         # Of one round no two collapses share a vertex.
-        rounds = [slice(a, b) for a, b in itertools.pairwise([0, *ends])]
-        # The collapses that made the two clusters of each one, (C, 2); -1 for an input vertex.
-        self._parts = np.empty((len(log), 2), dtype=np.int64)
-        # The collapse that takes the cluster of each one, (C+1,), and the first one of each input vertex, (V,); C for
-        # none, later than all, which is followed by itself.
-        self._next = np.full(len(log) + 1, len(log), dtype=np.int64)
-        self._first = np.full(vertex_count, len(log), dtype=np.int64)
-        last = np.full(vertex_count, -1, dtype=np.int64)
-        for part in rounds:
-            index = np.arange(part.start, part.stop)
-            for column, vertex in enumerate((log.kept[part], log.removed[part])):
-                made = last[vertex]
-                self._parts[part, column] = made
-                self._next[made[made >= 0]] = index[made >= 0]
-                self._first[vertex[made < 0]] = index[made < 0]
-            last[log.kept[part]] = index
+        for first, last in itertools.pairwise(ends):
+            kept = log.kept[first:last]
+            self._before[first:last] = self.last.take(kept)
+            self.last[kept] = index[first:last]
+
+    def prepare_ahead(self) -> None:
+        """Find in a thread what cuts without some collapses take, for those who know that they will ask for some."""
+        self._ahead = done_ahead(lambda: (self._following, self._begun))
+
+    @property
+    def _next(self) -> npt.NDArray[np.int32]:
+        return self._following if self._ahead is None else self._ahead()[0]
+
+    @property
+    def _first(self) -> npt.NDArray[np.int32]:
+        return self._begun if self._ahead is None else self._ahead()[1]
+
+    @functools.cached_property
+    def _following(self) -> npt.NDArray[np.int32]:
+        """(C+1,), the collapse that takes the cluster of each one; C for none, later than all, followed by itself."""
+        log, index = self.log, np.arange(len(self.log), dtype=np.int32)
+        taken = np.full(self._vertex_count, len(log), dtype=np.int32)
+        taken[log.removed] = index
+        # A vertex is removed after all collapses that go by it.
+        after = np.append(taken.take(log.kept), np.int32(len(log)))
+        is_later = self._before >= 0
+        after[self._before[is_later]] = index[is_later]
+        return after
+
+    @functools.cached_property
+    def _begun(self) -> npt.NDArray[np.int32]:
+        """(V,), the first collapse of each input vertex; C for none."""
+        log, index = self.log, np.arange(len(self.log), dtype=np.int32)
+        first = np.full(self._vertex_count, len(log), dtype=np.int32)
+        first[log.removed] = index
+        # Of several the first one counts.
+        first[log.kept[::-1]] = index[::-1]
+        return first
 
     def within(self, error: float) -> Cut:
         """The furthest level whose collapses and drops have no larger error."""
@@ -84,7 +119,17 @@ class CollapseForest:
 
     def last_collapses(self, cut: Cut) -> np.ndarray:
         """(V,) int, see :func:`last_collapses`."""
-        return last_collapses(self.log, cut.kept, self._vertex_count)
+        last = self.last.copy()
+        # A cut has what each of its collapses needs: the last ones are those before what it is without.
+        vertex = self.log.kept[np.flatnonzero(~cut.kept)]
+        found = last[vertex]
+        left = np.arange(len(found))
+        while len(left):
+            at = found[left]
+            left = left[(at >= 0) & ~cut.kept[at]]
+            found[left] = self._before[found[left]]
+        last[vertex] = found
+        return last
 
     def without(self, cut: Cut, collapses: np.ndarray, drops: np.ndarray) -> Cut:
         """A cut without some collapses and drops (indices), and without what needs them."""
@@ -97,14 +142,15 @@ class CollapseForest:
         """Collapses (indices), and so many generations of those that made their clusters."""
         found = newest = collapses
         for _ in range(generations):
-            newest = self._parts[newest].ravel()
-            newest = np.unique(newest[newest >= 0])
+            parts = np.concatenate([self._before[newest], self.last[self.log.removed[newest]]])
+            newest = np.unique(parts[parts >= 0])
             found = np.concatenate([found, newest])
         return np.unique(found)
 
     def faces_removed(self, cut: Cut) -> int:
         """Faces of the input that a cut is without."""
-        return int(self.log.faces_removed[cut.kept].sum()) + int(self.drops.face_count[cut.dropped].sum())
+        undone = self.log.faces_removed[np.flatnonzero(~cut.kept)]
+        return self._all_removed - int(undone.sum()) + int(self.drops.face_count[cut.dropped].sum())
 
     def _closed(self, kept: np.ndarray, dropped: np.ndarray, left_out: np.ndarray) -> Cut:
         """The largest cut within a choice of collapses and drops, of which some collapses (indices) are left out."""
@@ -125,7 +171,11 @@ class CollapseForest:
         opposites = opposites[opposites[:, 1] >= 0]
         # Collapses come after those that they need: from two vertices, the earlier one goes on until both are the
         # collapse that joins them.
-        one, other = self._first[opposites[:, 0]], self._first[opposites[:, 1]]
-        while (one != other).any():
-            one, other = np.where(one < other, self._next[one], one), np.where(other < one, self._next[other], other)
-        return one
+        earlier, later = self._first[opposites[:, 0]], self._first[opposites[:, 1]]
+        found = []
+        while len(earlier):
+            earlier, later = np.minimum(earlier, later), np.maximum(earlier, later)
+            is_joined = earlier == later
+            found.append(later[is_joined])
+            earlier, later = self._next[earlier[~is_joined]], later[~is_joined]
+        return np.concatenate(found) if found else np.empty(0, dtype=np.int32)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import numpy.typing as npt
 
@@ -16,18 +18,23 @@ class LevelFaces:
 
     Args:
         faces: (N, 3) int32, the input's.
-        start: (V+1,) int32, where the faces of each vertex begin in ``around``.
-        around: (3N,) int32, the faces around one vertex after the other.
+        at: finds the faces (n,), ascending, that have one of some vertices, (V,) bool.
         ordered: the level that the first one is near to.
     """
 
     def __init__(
-        self, faces: np.ndarray, start: npt.NDArray[np.int32], around: npt.NDArray[np.int32], ordered: DecimatedMesh
+        self,
+        faces: np.ndarray,
+        at: Callable[[npt.NDArray[np.bool_]], npt.NDArray[np.integer]],
+        ordered: DecimatedMesh,
     ) -> None:
-        self._faces, self._start, self._around = faces, start, around
+        self._faces, self._at = faces, at
         self._root, self._dropped = ordered.root, _dropped(ordered.drops, len(ordered.root))
         self._is_left = np.zeros(len(faces), dtype=bool)
         self._is_left[ordered.face_map] = True
+        # Of the faces that are left.
+        self._corners = np.empty((len(faces), 3), dtype=np.int32)
+        self._corners[ordered.face_map] = ordered.faces
 
     def at(self, root: np.ndarray, drops: DropRecord) -> tuple[np.ndarray, np.ndarray]:
         """What :func:`warpqem.decimation.faces_left.faces_left` gives for a level.
@@ -37,19 +44,14 @@ class LevelFaces:
             drops: the pruned components.
         """
         dropped = _dropped(drops, len(root))
-        face = self._faces_at(np.flatnonzero((root != self._root) | (dropped != self._dropped)))
+        face = self._at((root != self._root) | (dropped != self._dropped))
         corner = self._faces[face]
-        a, b, c = root[corner].T
+        self._corners[face] = corner_root = root[corner]
+        a, b, c = corner_root.T
         self._is_left[face] = (a != b) & (b != c) & (c != a) & ~dropped[corner[:, 0]]
         self._root, self._dropped = root, dropped
         face_map = np.flatnonzero(self._is_left).astype(np.int32)
-        return root[self._faces[face_map]], face_map
-
-    def _faces_at(self, vertex: npt.NDArray[np.integer]) -> npt.NDArray[np.int32]:
-        """The faces at some vertices, some of them several times."""
-        first, count = self._start[vertex], np.diff(self._start)[vertex]
-        place = np.arange(int(count.sum())) + np.repeat(first - np.cumsum(count) + count, count)
-        return self._around[place]
+        return self._corners.take(face_map, axis=0), face_map
 
 
 def _dropped(drops: DropRecord, vertex_count: int) -> npt.NDArray[np.bool_]:

@@ -19,7 +19,8 @@ from warpqem.kernels import memoryless_quadric as kernels
 from warpqem.kernels.lanes import width_of
 from warpqem.kernels.mesh_state import KEY_FRAMES, MeshState
 from warpqem.kernels.topology import BORDER, SEAM
-from warpqem.mesh.seams import image_marks
+from warpqem.mesh.grouping import any_corner
+from warpqem.mesh.seams import half_edge_ends, image_marks
 from warpqem.runtime import new_arrays
 from warpqem.runtime.cpu_threads import thread_count
 from warpqem.runtime.launches import Recorder
@@ -37,51 +38,60 @@ class MemorylessQuadrics:
 
     def __init__(self, input_faces: np.ndarray, ordered: DecimatedMesh) -> None:
         self._input_faces, self._ordered = input_faces, ordered
-        half_edge = np.stack([input_faces.ravel(), np.roll(input_faces, -1, axis=1).ravel()], axis=1)
-        self._seams = half_edge[(ordered.constrained & 2) != 0]
-        self._borders = np.unique(half_edge[(ordered.constrained & 1) != 0])
+        # Where each face is in the order that ordering had, once that is asked for.
+        self._place: np.ndarray | None = None
+        half_edge = np.flatnonzero(ordered.constrained)
+        kind, ends = ordered.constrained[half_edge], half_edge_ends(input_faces, half_edge)
+        self._seams = ends[(kind & 2) != 0]
+        self._borders = np.unique(ends[(kind & 1) != 0])
 
     def fill(
-        self, root: np.ndarray, face_map: np.ndarray, wanted: np.ndarray, scale: np.ndarray, position: wp.array,
-        quadric: wp.array,
+        self, faces: np.ndarray, face_map: np.ndarray, root: np.ndarray, wanted: np.ndarray, scale: np.ndarray,
+        position: wp.array, quadric: wp.array,
     ) -> None:  # fmt: skip
         """Put the quadrics of some vertices in place.
 
         Args:
+            faces: (M, 3) int32 over the kept vertices, the faces that are left.
+            face_map: (M,) int32 ascending, the input face that each of them was.
             root: (V,) int32, the vertex that each input vertex collapsed into.
-            face_map: (M,) int32 ascending, the input's faces that are left.
             wanted: (n,) int32, rows of the vertices.
             scale: (n,) float32, what planes at each count.
             position: (V, B) points, rows of all vertices that are left.
             quadric: (V, B), where the rows are put.
         """
         ordered, device = self._ordered, position.device
+        is_wanted = np.zeros(len(root), dtype=bool)
+        is_wanted[wanted] = True
+        corner_row = ordered.row.take(faces)
+        # A quadric needs no faces but those at its vertex.
+        near = np.flatnonzero(any_corner(is_wanted.take(corner_row)))
+        corner_row = corner_row[near]
         if ordered.face_order is not None:
             # As ordering had them, so that the adjacency lists corners in the same order.
-            place = np.empty_like(ordered.face_order)
-            place[ordered.face_order] = np.arange(len(place), dtype=place.dtype)
-            face_map = face_map[np.argsort(place[face_map])]
-        row = ordered.row[root]
-        corner_vertex = row[self._input_faces[face_map]].ravel().astype(np.int32)
+            corner_row = corner_row[self._order_of(face_map[near], ordered.face_order)]
+        corner_vertex = corner_row.ravel().astype(np.int32, copy=False)
         flags = np.zeros(len(root), dtype=np.int32)
-        flags[row[self._borders]] = int(BORDER)
-        flags[row[self._seams]] |= int(SEAM)
+        borders, seams = (ordered.row[root[ends]] for ends in (self._borders, self._seams))
+        flags[borders] = int(BORDER)
+        flags[seams] |= int(SEAM)
         scales = np.ones(len(root), dtype=np.float32)
         scales[wanted] = scale
-        mask = np.zeros(len(root), dtype=np.int32)
-        mask[wanted] = 1
         state, frames = MeshState(), KEY_FRAMES[width_of(position)]()
         state.corner_vertex = wp.array(corner_vertex, device=device)
         state.adjacency = build_adjacency(state.corner_vertex, len(root)).lists
         state.vertex_flags = wp.array(flags, device=device)
         state.quadric_scale = wp.array(scales, device=device)
-        state.seam = wp.array(image_marks(row[self._seams], corner_vertex.reshape(-1, 3), len(root)), device=device)
+        state.seam = wp.array(image_marks(seams, corner_vertex.reshape(-1, 3), len(root)), device=device)
         frames.position, frames.quadric = position, quadric
         weights = kernels.LineWeights()
         # Both half-edges of each.
         of_kind = constraint_weights(len(self._seams) // 2, len(self._input_faces))
         weights.border, weights.seam = of_kind[1], of_kind[2]
-        chosen, one = wp.array(mask, device=device), new_arrays.uploaded([1], dtype=wp.int32, device=device)
+        chosen, one = (
+            new_arrays.uploaded(is_wanted, dtype=wp.int32, device=device),
+            new_arrays.uploaded([1], dtype=wp.int32, device=device),
+        )
         part_count = thread_count(str(device))
 
         def renew(recorder: Recorder, part: int) -> None:
@@ -90,3 +100,11 @@ class MemorylessQuadrics:
             record_shared(recorder, kernel, [state, frames, weights, chosen, one], work)
 
         run_once([LaunchGroup(renew, part_count)], str(device))
+
+    def _order_of(self, face: np.ndarray, face_order: np.ndarray) -> np.ndarray:
+        """The indices (n,) that bring faces (n,) into the order that all faces have in ``face_order`` (N,)."""
+        if self._place is None:
+            self._place = np.empty_like(face_order)
+            self._place[face_order] = np.arange(len(face_order), dtype=face_order.dtype)
+        order: np.ndarray = np.argsort(self._place[face])
+        return order

@@ -82,7 +82,7 @@ class OrderReadback:
             return log_here, root, *faces_left(self._faces, self._corner_vertex, log_here, root, drops)
         log_here = log_of(ordered, count)
         root, face_map = log_here.roots(self._vertex_count), marked.listed(rows)
-        return log_here, root, root[self._faces[face_map]], face_map
+        return log_here, root, root.take(self._faces.take(face_map, axis=0)), face_map
 
     def _roots(self, log: wp.array, room: int) -> wp.array:
         """(V,) int32, the vertex that each one collapsed into by a log on the device with room for so many."""

@@ -35,5 +35,5 @@ class OrderSteps:
 
     def counts(self, step_count: int) -> tuple[int, int]:
         """How many collapses and drops the first steps are."""
-        collapses = int(self._is_collapse[:step_count].sum())
+        collapses = int(np.count_nonzero(self._is_collapse[:step_count]))
         return collapses, step_count - collapses

@@ -91,7 +91,7 @@ class OrderedLevels:
         for nodes, wanted in shown:
             self._show(nodes, wanted)
         if self._present is not None:
-            self._show_present(shown, root, face_map)
+            self._show_present(shown, faces, face_map, root)
         at_end = step_count == len(self._steps)
         return replace(
             self._ordered,
@@ -147,8 +147,8 @@ class OrderedLevels:
             all_nodes = np.ones(len(kept), dtype=bool)
             self._show(nodes, all_nodes)
             if self._present is not None:
-                _, face_map = faces_left(self._input_faces, self._corner_vertex, log, root, self._ordered.drops.head(0))
-                self._show_present([(nodes, all_nodes)], root, face_map)
+                left = faces_left(self._input_faces, self._corner_vertex, log, root, self._ordered.drops.head(0))
+                self._show_present([(nodes, all_nodes)], *left, root)
             inside = np.where(cluster >= 0, root, -1).astype(np.int32)
             ordered = replace(self._ordered, root=inside, position=self._position, quadric=self._quadric, log=log)
             collapse = part.start + np.argsort(self.log.kept[part])
@@ -177,7 +177,7 @@ class OrderedLevels:
             put_rows(array, row, np.concatenate(values))
 
     def _show_present(
-        self, shown: Sequence[tuple[PassNodes, np.ndarray]], root: np.ndarray, face_map: np.ndarray
+        self, shown: Sequence[tuple[PassNodes, np.ndarray]], faces: np.ndarray, face_map: np.ndarray, root: np.ndarray
     ) -> None:
         """Put the quadrics of the present faces in place, after the positions, for vertices that are left."""
         assert self._present is not None
@@ -196,7 +196,7 @@ class OrderedLevels:
                 chosen = wanted[place]
                 added.append((nodes.row[place[chosen]], values[chosen]))
         row = np.flatnonzero(seen).astype(np.int32)
-        self._present.fill(root, face_map, row, scale[row], self._position, self._quadric)
+        self._present.fill(faces, face_map, root, row, scale[row], self._position, self._quadric)
         for row, values in added:
             index = new_arrays.uploaded(row, dtype=wp.int32, device=self._position.device)
             put_rows(self._quadric, row, read_rows(self._quadric, index) + values)

@@ -11,15 +11,13 @@ import warp as wp
 
 from warpqem.kernels import distance_points as kernels
 from warpqem.kernels.lanes import width_of
-from warpqem.mesh.grouping import order_by
+from warpqem.measure.face_lists import FaceLists, FacesAround, uploaded
 from warpqem.runtime import new_arrays
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.part_launches import corners_of, launch_in_parts, rows_of
 from warpqem.runtime.readback import read_together
 
 __all__ = [
-    "FaceLists",
-    "FacesAround",
     "PointLists",
     "PointsAndFaces",
     "furthest_from",
@@ -29,67 +27,6 @@ __all__ = [
 
 # Points, or faces, that are worth a thread: some hundred nanoseconds each.
 MIN_POINTS = 1024
-
-
-class FaceLists:
-    """Faces in lists, as compressed rows; on the device that they are first asked for.
-
-    Args:
-        start: (C+1,) int32, where each list starts.
-        face: int32, one list after another.
-    """
-
-    def __init__(self, start: npt.NDArray[np.int32], face: npt.NDArray[np.int32]) -> None:
-        self.start, self.face = start, face
-        self._there: tuple[wp.array, wp.array] | None = None
-
-    def on(self, device: str) -> tuple[wp.array, wp.array]:
-        """Both on the device."""
-        if self._there is None:
-            self._there = _uploaded(self.start, device), _uploaded(self.face, device)
-        return self._there
-
-
-class FacesAround(FaceLists):
-    """The faces at each vertex of a mesh.
-
-    Args:
-        faces: (N, 3) int.
-        vertex_count: vertices V.
-    """
-
-    def __init__(self, faces: npt.NDArray[np.integer], vertex_count: int) -> None:
-        self.corner_vertex = np.ascontiguousarray(faces, dtype=np.int32).ravel()
-        start = np.zeros(vertex_count + 1, dtype=np.int32)
-        np.cumsum(np.bincount(self.corner_vertex, minlength=vertex_count), out=start[1:])
-        super().__init__(start, (order_by(self.corner_vertex, vertex_count) // 3).astype(np.int32))
-        self._corners: wp.array | None = None
-
-    def corners(self, device: str) -> wp.array:
-        """(3N,) int32 on the device that it is first asked for, the vertex of each corner."""
-        if self._corners is None:
-            self._corners = _uploaded(self.corner_vertex, device)
-        return self._corners
-
-    def around(self, device: str) -> kernels.Around:
-        """What kernels see of it."""
-        around = kernels.Around()
-        around.start, around.face = self.on(device)
-        around.vertex = self.corners(device)
-        return around
-
-    def of(self, vertex: npt.NDArray[np.integer]) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int64]]:
-        """The faces at some vertices, and of which of them (n,) each is, one after another."""
-        first, count = self.start[vertex], np.diff(self.start)[vertex]
-        row = np.repeat(np.arange(len(vertex)), count)
-        place = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count) + first[row]
-        return self.face[place], row
-
-
-def _uploaded(values: npt.NDArray[np.integer] | wp.array, device: str) -> wp.array:
-    if isinstance(values, wp.array):
-        return values
-    return new_arrays.uploaded(values.astype(np.int32, copy=False), dtype=wp.int32, device=device, copy=False)
 
 
 class PointLists:
@@ -116,7 +53,7 @@ class PointLists:
     def on(self, device: str) -> tuple[wp.array, ...]:
         """All four on the device."""
         if not self._there:
-            self._there = tuple(_uploaded(values, device) for values in self._values)
+            self._there = tuple(uploaded(values, device) for values in self._values)
         return self._there
 
     @classmethod

@@ -7,7 +7,8 @@ import numpy.typing as npt
 import warp as wp
 
 from warpqem.kernels import large_faces as kernels
-from warpqem.measure.far_points import FacesAround, longest_edges, longest_edges_there
+from warpqem.measure.face_lists import FacesAround, uploaded
+from warpqem.measure.far_points import longest_edges, longest_edges_there
 from warpqem.runtime import new_arrays
 from warpqem.runtime.launches import launch
 
@@ -36,7 +37,7 @@ class LargeFaces:
         around: its faces.
         test: blocks of points of the simplified mesh.
         faces: (N', 3) int, its faces.
-        cluster: (V,) int32, the cluster of each input vertex.
+        cluster: (V,) int32, the cluster of each input vertex, on the host or the device.
         room: faces that there is room for; None for as many as there mostly are.
         device: Warp device.
 
@@ -52,7 +53,7 @@ class LargeFaces:
         around: FacesAround,
         test: wp.array,
         faces: npt.NDArray[np.integer],
-        cluster: npt.NDArray[np.integer],
+        cluster: npt.NDArray[np.integer] | wp.array,
         device: str,
         room: int | None = None,
     ) -> None:
@@ -71,7 +72,7 @@ class LargeFaces:
             new_arrays.zeros(shape, dtype=wp.int32, device=device) for shape in (1 + self.room, (self.room, 3))
         )
         self.clusters = new_arrays.full((self.room, 3), -1, dtype=wp.int32, device=device)
-        there = new_arrays.uploaded(cluster, dtype=wp.int32, device=device)
+        there = uploaded(cluster, device)
         inputs, outputs = [around.corners(device), there, before], [self.rows, self.corners, self.clusters]
         launch(kernels.list_longer, count, inputs, outputs, device=device)
 

@@ -21,7 +21,8 @@ import warp as wp
 from warpqem.kernels import distance_points as kernels
 from warpqem.kernels.lanes import width_of
 from warpqem.kernels.large_faces import largest_of_points
-from warpqem.measure.far_points import FaceLists, FacesAround, PointLists, PointsAndFaces, furthest_from
+from warpqem.measure.face_lists import FaceLists, FacesAround, faces_at_clusters
+from warpqem.measure.far_points import PointLists, PointsAndFaces, furthest_from
 from warpqem.measure.large_faces import LargeFaces
 from warpqem.runtime import new_arrays
 from warpqem.runtime.device import device_traits
@@ -215,20 +216,22 @@ Places = InputVertices | SampledFaces | SimplifiedVertices
 
 
 def input_side(
-    lanes: wp.array, around: FacesAround, cluster: npt.NDArray[np.integer], faces: npt.NDArray[np.integer], count: int
+    lanes: wp.array,
+    around: FacesAround,
+    cluster: npt.NDArray[np.integer] | wp.array,
+    count: int,
+    faces: npt.NDArray[np.integer] | None = None,
 ) -> Side:
     """The input, with its faces at the members of each cluster.
 
     Args:
         lanes: (V, B) blocks of its points.
         around: its faces.
-        cluster: (V,) int.
-        faces: (n,) int, which of its faces are looked for.
+        cluster: (V,) int32, on the host, or where the lists are made there, on the device.
         count: clusters.
+        faces: (n,) int, those that are asked for at least; None for all.
     """
-    corners = cluster[around.corner_vertex.reshape(-1, 3)[faces]]
-    at_clusters = FacesAround(corners, count)
-    return Side(lanes, around, FaceLists(at_clusters.start, faces[at_clusters.face].astype(np.int32)))
+    return Side(lanes, around, faces_at_clusters(around, cluster, count, faces, str(lanes.device)))
 
 
 def furthest_of(

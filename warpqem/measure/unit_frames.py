@@ -13,6 +13,7 @@ from warpqem.frames.blocks import block_width, pack_frames
 from warpqem.kernels import lanes as kernels
 from warpqem.kernels.lanes import POINTS, width_of
 from warpqem.runtime import new_arrays
+from warpqem.runtime.device import device_traits
 from warpqem.runtime.part_launches import columns_of, launch_in_parts, rows_of
 
 __all__ = ["ChangingBlock", "UnitBlock", "UnitFrames"]
@@ -78,6 +79,12 @@ class UnitBlock:
     def lanes(self) -> wp.array:
         """(V, B) blocks of frames, single precision."""
         width = block_width(len(self), self._device)
+        middle, unit = self._frames.middle, self._frames.unit
+        alike = bool(len(unit)) and (middle == middle[0]).all() and (unit == unit[0]).all()
+        if alike and self._points.dtype == np.float32 and device_traits(self._device).own_memory:
+            # What single() does, there.
+            centre, scale = middle[0].astype(np.float32), float(np.float32(1.0 / unit[0]))
+            return pack_frames(self._points, self._device, centre=centre, scale=scale, width=width)
         return pack_frames(self._frames.single(self._points), self._device, width=width)
 
 

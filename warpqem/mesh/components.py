@@ -19,13 +19,17 @@ def lowest_members(node_count: int, edges: np.ndarray) -> np.ndarray:
     """
     lowest = np.arange(node_count)
     one, other = (np.ascontiguousarray(end, dtype=np.intp) for end in edges.T)
-    while (one != other).any():
+    while True:
+        # Those that have one root have the same one ever after.
+        apart = np.flatnonzero(one != other)
+        if not len(apart):
+            return lowest
+        one, other = one.take(apart), other.take(apart)
         # Only roots come to point lower, so that a tree's root is its lowest node.
         np.minimum.at(lowest, np.maximum(one, other), np.minimum(one, other))
         while True:
-            jumped = lowest[lowest]
-            if (jumped == lowest).all():
+            jumped = lowest.take(lowest)
+            if np.array_equal(jumped, lowest):
                 break
             lowest = jumped
-        one, other = lowest[one], lowest[other]
-    return lowest
+        one, other = lowest.take(one), lowest.take(other)

@@ -23,7 +23,7 @@ from warpqem.decimation.replay import OrderedLevels
 from warpqem.errors import OptionError
 from warpqem.frames.stream import ArraySink, FrameSink, NoFrames, SharedFrames
 from warpqem.measure.bound import DistanceBound, Excess
-from warpqem.measure.far_points import FacesAround
+from warpqem.measure.face_lists import FacesAround
 from warpqem.measure.piece_proof import SINGLE_MARGIN
 from warpqem.measure.surface_places import InputVertices, Side, furthest_of
 from warpqem.mesh.mesh_input import AnimatedMesh
@@ -190,12 +190,12 @@ class _Search:
         chosen = keys if count <= len(keys) else np.arange(mesh.frame_count)
         chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, count).astype(int))]
         own = np.concatenate([mesh.source.read(slice(frame, frame + 1)) for frame in chosen.tolist()])
-        return LevelFrames(self._work, mesh.chosen_points(chosen), own, self._frames.units(own, chosen))
+        return LevelFrames(self._work, self._around, mesh.chosen_points(chosen), own, self._frames.units(own, chosen))
 
     def _block(self, frames: slice) -> LevelFrames:
         own = self._work.mesh.source.read(frames)
         units = self._frames.units(own, np.arange(frames.start, frames.stop))
-        return LevelFrames(self._work, self._work.mesh.points(frames), own, units)
+        return LevelFrames(self._work, self._around, self._work.mesh.points(frames), own, units)
 
     def _first_choice(self, choices: Sequence[Choice]) -> Choice:
         """The first one in which more than few vertices are too far in some frames, or the last one."""

@@ -10,6 +10,7 @@ import warp as wp
 from warpqem.decimation.decimate import DecimatedMesh
 from warpqem.decimation.forest_cut import Cut
 from warpqem.frames.device_frames import take_vertices, to_device
+from warpqem.measure.face_lists import FacesAround
 from warpqem.measure.unit_frames import ChangingBlock, UnitBlock, UnitFrames
 from warpqem.pipeline.prepare import Prepared
 from warpqem.place.block_placer import pack_block
@@ -45,11 +46,21 @@ class CutLevel:
         last: (V,) int, the last collapse of each cluster, see :func:`warpqem.decimation.forest_cut.last_collapses`.
     """
 
-    def __init__(self, choice: Choice, ordered: DecimatedMesh, last: np.ndarray) -> None:
-        self.choice, self.ordered, self.last = choice, ordered, last
+    def __init__(
+        self, choice: Choice, ordered: DecimatedMesh, last: np.ndarray, root_there: wp.array | None = None
+    ) -> None:
+        self.choice, self.ordered, self.last, self._root_there = choice, ordered, last, root_there
         self.is_kept = np.zeros(len(ordered.root), dtype=bool)
         self.is_kept[ordered.faces] = True
         self.kept = np.flatnonzero(self.is_kept).astype(np.int32)
+
+    @property
+    def root_there(self) -> wp.array:
+        """(V,) int32, ``ordered.root`` on the device."""
+        if self._root_there is None:
+            device = self.ordered.position.device
+            self._root_there = new_arrays.uploaded(self.ordered.root, dtype=wp.int32, device=device)
+        return self._root_there
 
     def unmoved(self, before: CutLevel) -> np.ndarray:
         """(V,) bool, kept vertices whose clusters and placement are those of another level."""
@@ -62,6 +73,7 @@ class LevelFrames:
 
     Args:
         work: the mesh.
+        around: its faces.
         about: (n, V, 3) float32, its frames about its origin.
         own: the same in the caller's coordinates.
         units: what brings them to unit size.
@@ -72,8 +84,10 @@ class LevelFrames:
         level_points: (n, V) points on the device, the same in the caller's coordinates.
     """
 
-    def __init__(self, work: Prepared, about: np.ndarray, own: np.ndarray, units: UnitFrames) -> None:
-        self._work, self._about = work, to_device(about, work.device)
+    def __init__(
+        self, work: Prepared, around: FacesAround, about: np.ndarray, own: np.ndarray, units: UnitFrames
+    ) -> None:
+        self._work, self._around, self._about = work, around, to_device(about, work.device)
         self._packed = pack_block(work.mesh, self._about, work.device)
         self.reference = UnitBlock(own, units, work.device)
         self.test = ChangingBlock(about.shape[:2], units, work.device)
@@ -91,7 +105,7 @@ class LevelFrames:
         mesh = self._work.mesh
         moved = level.kept if before is None else level.kept[~level.unmoved(before)[level.kept]]
         if len(moved):
-            placer = placer_of(self._work, level, moved)
+            placer = placer_of(self._work, self._around, level, moved)
             self._put(moved, placer.place(mesh, self._about, self._packed).restored(mesh))
         return moved
 
@@ -111,15 +125,15 @@ class LevelFrames:
         return points
 
 
-def placer_of(work: Prepared, level: CutLevel, kept: np.ndarray) -> ClusterPlacer:
+def placer_of(work: Prepared, around: FacesAround, level: CutLevel, kept: np.ndarray) -> ClusterPlacer:
     """What places the clusters of a level that go by some vertices (M,)."""
     ordered, faces = level.ordered, work.mesh.faces
     index = np.full(len(work.mesh.used), -1, dtype=np.int32)
     index[kept] = np.arange(len(kept), dtype=np.int32)
-    cluster = index[ordered.root]
+    cluster = index.take(ordered.root)
     if work.quadric_sums is None:
         # Only faces around count.
-        near = (cluster[faces] >= 0).any(axis=1)
+        near = around.at(cluster >= 0)
         faces = faces[near]
         ordered = replace(ordered, constrained=ordered.constrained.reshape(-1, 3)[near].ravel())
     settings = replace(work.place_settings, loose=level.choice.loose)

@@ -25,7 +25,7 @@ from warpqem.decimation.order_steps import OrderSteps
 from warpqem.frames.device_frames import DeviceSink, to_device
 from warpqem.frames.stream import ArrayFrames, ArraySink, counted_frames
 from warpqem.kernels.components import MAX_REMNANT_FACES
-from warpqem.measure.far_points import FacesAround
+from warpqem.measure.face_lists import FacesAround
 from warpqem.measure.unit_frames import UnitFrames
 from warpqem.mesh.mesh_input import AnimatedMesh
 from warpqem.pipeline.cut_levels import Choice, CutLevel, LevelFrames, placer_of
@@ -35,7 +35,7 @@ from warpqem.pipeline.prepare import ORDER_END, Prepared, spare_count
 from warpqem.pipeline.result import with_frames, without_frames
 from warpqem.runtime.device import device_traits
 
-__all__ = ["exchanged", "order_with_spare", "spare_faces"]
+__all__ = ["exchanged", "faces_ahead", "order_with_spare", "spare_faces"]
 
 # The furthest spots of a round are those beyond this part of the largest distance.
 NEAR_LARGEST = 0.8
@@ -72,8 +72,25 @@ def order_with_spare(
     return work.order(progress, recorder) if spare == target else work.order_to(spare, progress, recorder)
 
 
+def faces_ahead(work: Prepared) -> FacesAround | None:
+    """The faces that exchanging looks for on the host, or None where nothing is exchanged.
+
+    A device with memory of its own orders meanwhile, and would wait for them afterwards.
+    """
+    target = work.goal.target_faces
+    if spare_faces(work, target) == target or not device_traits(work.device).own_memory:
+        return None
+    around = FacesAround(work.mesh.faces, work.mesh.vertex_count)
+    around.make_ahead()
+    return around
+
+
 def exchanged(
-    work: Prepared, ordered: DecimatedMesh, target_faces: int, progress: Progress | None = None
+    work: Prepared,
+    ordered: DecimatedMesh,
+    target_faces: int,
+    progress: Progress | None = None,
+    around: FacesAround | None = None,
 ) -> DecimatedMesh:
     """A level with so many faces, whose surface is less far from the input at most than that of the order's own.
 
@@ -82,27 +99,25 @@ def exchanged(
         ordered: what ordering left at :func:`spare_faces`.
         target_faces: faces asked for.
         progress: called now and then.
+        around: what :func:`faces_ahead` gave; None to make it here.
 
     Returns:
         ``ordered`` itself where nothing can be exchanged, or it has more faces.
     """
     if spare_faces(work, target_faces) == target_faces or len(ordered.faces) > target_faces:
         return ordered
-    return _Search(work, ordered, target_faces).run(progress)
+    return _Search(work, ordered, target_faces, around).run(progress)
 
 
 class _Search:
     """Cuts of one forest with about the same number of faces."""
 
-    def __init__(self, work: Prepared, ordered: DecimatedMesh, target_faces: int) -> None:
+    def __init__(
+        self, work: Prepared, ordered: DecimatedMesh, target_faces: int, around: FacesAround | None = None
+    ) -> None:
         self._whole, self._target = work, target_faces
         log, drops = ordered.log, ordered.drops
-        self._forest = CollapseForest(log, drops, len(ordered.root))
-        around = FacesAround(work.mesh.faces, len(ordered.root))
-        level_faces = LevelFaces(work.mesh.faces, around.start, around.face, ordered)
-        self._states = ClusterStates(work.mesh.faces, ordered, self._forest, level_faces)
-        self._steps = OrderSteps(log, drops, len(work.mesh.faces))
-        self._step = self._first_step = self._steps.to(target_faces)
+        self._around = around = FacesAround(work.mesh.faces, len(ordered.root)) if around is None else around
         looked, keys = looked_frames(work.key_frames, np.flatnonzero(counted_frames(work.mesh.source)))
         mesh = _clip(work.mesh, looked)
         count = len(looked)
@@ -110,7 +125,16 @@ class _Search:
         units = UnitFrames(np.broadcast_to(mesh.centre + mesh.origin, (count, 3)), np.full(count, mesh.diagonal))
         every = slice(0, count)
         points = mesh.source.read(every)
-        self._frames = LevelFrames(self._work, mesh.points(every), points, units)
+        self._frames = LevelFrames(self._work, around, mesh.points(every), points, units)
+        self._forest = CollapseForest(log, drops, len(ordered.root))
+        if device_traits(work.device).own_memory:
+            self._forest.prepare_ahead()
+        # The last place is of vertices without a collapse.
+        self._error = np.append(log.error, np.float32(-1.0))
+        level_faces = LevelFaces(work.mesh.faces, around.at, ordered)
+        self._states = ClusterStates(work.mesh.faces, ordered, self._forest, level_faces)
+        self._steps = OrderSteps(log, drops, len(work.mesh.faces))
+        self._step = self._first_step = self._steps.to(target_faces)
         # Where pruning alone led here there are no collapses.
         limit = SPOT * float(log.recent_error[-1]) if len(log) else 0.0
         self._distances = LevelDistances(self._work, self._frames, around, limit)
@@ -154,7 +178,8 @@ class _Search:
     def _prefix(self) -> Cut:
         """The beginning of the order that is tried now."""
         collapse_count, drop_count = self._steps.counts(self._step)
-        kept = np.arange(len(self._forest.log)) < collapse_count
+        kept = np.zeros(len(self._forest.log), dtype=bool)
+        kept[:collapse_count] = True
         return Cut(kept, np.arange(len(self._forest.drops)) < drop_count)
 
     def _filled(self, cut: Cut) -> Cut:
@@ -196,13 +221,13 @@ class _Search:
         """A level whose clusters are placed by their planes, but for those that ordering left."""
         ordered = self._states.at(cut)
         loose = np.ones(len(ordered.root), dtype=bool)
-        return CutLevel(Choice(cut, loose), ordered, self._forest.last_collapses(cut))
+        return CutLevel(Choice(cut, loose), ordered, self._forest.last_collapses(cut), self._states.root_there)
 
     def _collapses_at_spots(self, level: CutLevel, largest: float) -> np.ndarray:
         """The last collapse of the largest error at each of the furthest spots."""
         limit = max(NEAR_LARGEST * largest, self._distances.limit)
         last = level.last[self._distances.clusters_at(level, limit)]
-        error = np.append(self._forest.log.error, -1.0)[last]
+        error = self._error[last]
         collapse = np.take_along_axis(last, error.argmax(axis=1)[:, None], axis=1)[:, 0]
         return np.unique(collapse[collapse >= 0])
 
@@ -214,7 +239,7 @@ class _Search:
             clip = _clip(mesh, self._whole.key_frames)
             points = to_device(clip.points(slice(0, clip.frame_count)), device)
             for _ in range(PLACED_TIMES):
-                placed = placer_of(self._whole, level, vertex).place(clip, points)
+                placed = placer_of(self._whole, self._around, level, vertex).place(clip, points)
                 self._states.move(vertex, placed.points, level.ordered)
         return level.ordered
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from warpqem.measure.far_points import FacesAround
+from warpqem.measure.face_lists import FacesAround
 from warpqem.measure.large_faces import LargeFaces, large_faces
 from warpqem.measure.surface_places import (
     InputVertices,
@@ -20,6 +20,7 @@ from warpqem.measure.surface_places import (
     furthest_with_large,
     input_side,
 )
+from warpqem.mesh.grouping import any_corner
 from warpqem.pipeline.cut_levels import CutLevel, LevelFrames
 from warpqem.pipeline.prepare import Prepared
 from warpqem.runtime.device import device_traits
@@ -64,6 +65,7 @@ class LevelDistances:
         At least the limit.
         """
         ordered = level.ordered
+        input_lanes, level_lanes = self._frames.reference.lanes, self._frames.test.lanes
         # Where the host would wait for which input faces are large, it asks for that along with how far they are.
         is_listed = moved is None and device_traits(self._device).own_memory
         if moved is None and not is_listed:
@@ -71,23 +73,24 @@ class LevelDistances:
         changed = self._changed(level, moved)
         near = np.zeros(len(ordered.root), dtype=bool)
         near[ordered.faces[changed]] = True
-        is_near, here = near[ordered.root], self._here(level)
+        is_near, here = near.take(ordered.root), self._here(level)
         around = FacesAround(ordered.faces, len(ordered.root))
-        input_lanes, level_lanes = self._frames.reference.lanes, self._frames.test.lanes
         side = Side(level_lanes, around, around)
         vertex = np.flatnonzero(is_near & here)
         vertices = InputVertices(input_lanes, side, vertex, ordered.root[vertex])
         there = self._input_side(level, near)
         faces, face = ordered.faces[changed], ordered.face_map[changed]
         own = SampledFaces(level_lanes, faces, faces, there, around)
-        kept = SimplifiedVertices(level_lanes, there, np.unique(faces), around)
+        kept = SimplifiedVertices(level_lanes, there, np.flatnonzero(near), around)
         places = vertices, own, kept
         if is_listed:
             found = self._renew_listed(level, places, side, here)
         else:
             found = self._renew_known(level, places, side, here, is_near, moved is None)
         self._far_vertex[vertex], self._far_face[face], self._far_kept[kept.vertex] = found
-        parts = self._far_vertex[here], self._far_large, self._far_face[ordered.face_map], self._far_kept[level.kept]
+        # Distances are not below 0.
+        of_vertices = self._far_vertex * here
+        parts = of_vertices, self._far_large, self._far_face.take(ordered.face_map), self._far_kept.take(level.kept)
         return max(self.limit, *(float(part.max(initial=0.0)) for part in parts))
 
     def _renew_known(
@@ -128,7 +131,8 @@ class LevelDistances:
         That finds the same.
         """
         lanes, root = self._frames.reference.lanes, level.ordered.root
-        listed = LargeFaces(lanes, self._around, self._frames.test.lanes, level.ordered.faces, root, self._device)
+        test, there = self._frames.test.lanes, level.root_there
+        listed = LargeFaces(lanes, self._around, test, level.ordered.faces, there, self._device)
         of_listed = SampledFaces(lanes, listed.corners, listed.clusters, side, side.faces)
         (*found, far), rows = furthest_with_large(places, of_listed, listed, self.limit, self._device)
         self._large = rows[1 : 1 + rows[0]].astype(np.int64)
@@ -154,19 +158,20 @@ class LevelDistances:
         """The faces of a level that are not what they were."""
         ordered = level.ordered
         face = ordered.face_map
-        changed = (self._corners[face] != ordered.faces).any(axis=1)
         if moved is None:
-            changed[:] = True
-        else:
-            is_moved = np.zeros(len(ordered.root), dtype=bool)
-            is_moved[moved] = True
-            changed |= is_moved[ordered.faces].any(axis=1)
-        self._corners[face] = ordered.faces
+            self._corners[face] = ordered.faces
+            return np.arange(len(face))
+        changed = any_corner(self._corners.take(face, axis=0) != ordered.faces)
+        differs = np.flatnonzero(changed)
+        self._corners[face[differs]] = ordered.faces[differs]
+        is_moved = np.zeros(len(ordered.root), dtype=bool)
+        is_moved[moved] = True
+        changed |= any_corner(is_moved.take(ordered.faces))
         return np.flatnonzero(changed)
 
     def _here(self, level: CutLevel) -> np.ndarray:
         """(V,) bool, input vertices that a level has something of."""
-        here: np.ndarray = level.is_kept[level.ordered.root] & self._mesh.used
+        here: np.ndarray = level.is_kept.take(level.ordered.root) & self._mesh.used
         return here
 
     def _distances(self, *places: Places) -> list[np.ndarray]:
@@ -175,17 +180,19 @@ class LevelDistances:
 
     def _input_side(self, level: CutLevel, wanted: np.ndarray) -> Side:
         """The input, by the faces at the members of clusters that are wanted (V,) or next to these."""
-        ordered = level.ordered
+        ordered, lanes, count = level.ordered, self._frames.reference.lanes, len(level.ordered.root)
+        if device_traits(self._device).own_memory:
+            return input_side(lanes, self._around, level.root_there, count)
         next_to = wanted.copy()
-        next_to[ordered.faces[wanted[ordered.faces].any(axis=1)]] = True
-        face = np.flatnonzero(next_to[ordered.root[self._mesh.faces]].any(axis=1))
-        return input_side(self._frames.reference.lanes, self._around, ordered.root, face, len(ordered.root))
+        next_to[ordered.faces[any_corner(wanted[ordered.faces])]] = True
+        return input_side(lanes, self._around, ordered.root, count, self._around.at(next_to[ordered.root]))
 
     def clusters_at(self, level: CutLevel, limit: float) -> np.ndarray:
         """(m, 3) int32, three clusters at each place that is further away than a limit."""
         root, faces = level.ordered.root, self._mesh.faces
-        face, _ = self._around.of(np.flatnonzero((self._far_vertex > limit) & self._here(level)))
+        vertex = np.flatnonzero(self._far_vertex > limit)
+        face, _ = self._around.of(vertex[level.is_kept[root[vertex]] & self._mesh.used[vertex]])
         large = self._large[self._far_large > limit]
-        own = level.ordered.faces[self._far_face[level.ordered.face_map] > limit]
-        kept = level.kept[self._far_kept[level.kept] > limit]
+        own = level.ordered.faces[self._far_face.take(level.ordered.face_map) > limit]
+        kept = level.kept[self._far_kept.take(level.kept) > limit]
         return np.concatenate([root[faces[face]], root[faces[large]], own, np.repeat(kept[:, None], 3, axis=1)])

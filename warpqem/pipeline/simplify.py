@@ -16,7 +16,7 @@ from warpqem.frames.stream import FrameSink
 from warpqem.mesh.mesh_input import read_mesh
 from warpqem.options import SimplifyKeywords, read_keywords
 from warpqem.pipeline.bounded import simplify_within
-from warpqem.pipeline.exchange import exchanged, order_with_spare
+from warpqem.pipeline.exchange import exchanged, faces_ahead, order_with_spare
 from warpqem.pipeline.measure_result import ResultMeasure, measured_on_the_way, with_errors
 from warpqem.pipeline.memory_plan import MemoryPlan, admit_faces
 from warpqem.pipeline.prepare import plan_work, prepare
@@ -116,11 +116,12 @@ def simplify(
     if bounded:
         within = partial(simplify_within, work, asked.refits, sink=sink, progress=listen)
         return with_errors(within, measuring, device)
+    around = faces_ahead(work) if asked.exchanges else None
     ordered = order_with_spare(work, listen) if asked.exchanges else work.order(listen)
     # What follows needs the memory of decimation.
     work = work.without_input()
     if asked.exchanges:
-        ordered = exchanged(work, ordered, work.goal.target_faces, listen)
+        ordered = exchanged(work, ordered, work.goal.target_faces, listen, around)
     placer = work.placer(ordered, refit=asked.refits)
     result = without_frames(work, placer, ordered)
     del ordered

@@ -31,6 +31,7 @@ class ComponentLimits:
         source: (K, V) vec3, the input's key frames.
         placed: (K, C) vec3, the output's as placed.
         corners: (N, 3) int32, the input's faces, as ``matching`` has them.
+        used: (U,) int, the vertices that these have, ascending.
         vertex_map: (V,) int32, input vertex to output vertex.
         faces: (N', 3) int32, the output's.
         frame_scale: (K,) float32 on the device, what multiplies the distances of each key frame from a component's own
@@ -47,6 +48,7 @@ class ComponentLimits:
         source: wp.array,
         placed: wp.array,
         corners: np.ndarray,
+        used: np.ndarray,
         vertex_map: np.ndarray,
         faces: np.ndarray,
         frame_scale: wp.array,
@@ -54,10 +56,14 @@ class ComponentLimits:
     ) -> None:
         self._matching, self._device = matching, device
         self._source, self._placed = source, placed
-        self._corners, self._vertex_map, self._faces = corners, vertex_map, faces
+        self._corners, self._used, self._vertex_map, self._faces = corners, used, vertex_map, faces
         vertex_count = placed.shape[1]
-        lowest = lowest_members(vertex_count, faces[:, [0, 1, 1, 2]].reshape(-1, 2))
-        self._component = np.unique(lowest[faces[:, 0]], return_inverse=True)[1]
+        lowest = lowest_members(vertex_count, np.concatenate([faces[:, :2], faces[:, 1:]]))
+        of_face = lowest[faces[:, 0]]
+        is_lowest = np.zeros(vertex_count, dtype=bool)
+        is_lowest[of_face] = True
+        # Numbers in the order of their lowest vertices.
+        self._component = (np.cumsum(is_lowest, dtype=np.int32) - 1).take(of_face)
         self.sampled = sampled = kernels.Limits()
         count = int(self._component.max(initial=-1)) + 1
         sampled.frame_scale = frame_scale
@@ -112,6 +118,7 @@ class ComponentLimits:
         return OwnParts(
             self._source,
             self._corners,
+            self._used,
             self._vertex_map,
             self._placed,
             self._faces,

@@ -152,7 +152,7 @@ class _Refit:
         turns = max(1, min(len(key_frames), mesh.frame_count // FRAMES_PER_TURN))
         # Of a pruned component nothing is near to the output.
         is_left = placer.vertex_map[mesh.faces[:, 0]] >= 0
-        faces = mesh.faces[is_left]
+        faces, used = _left(mesh, is_left)
         seams = find_seams(placer.seam, mesh.faces, is_left, placer.vertex_map, self._faces, self._vertex_count)
         self._sizes = FitSizes.of(
             keys.points, placer.faces, self._corner_vertex, self._vertex_count, turns, len(seams[1].half_edge)
@@ -189,6 +189,7 @@ class _Refit:
             source.points,
             self._keys.points,
             faces,
+            used,
             placer.vertex_map,
             self._faces,
             reference.frame_scale,
@@ -368,3 +369,13 @@ class _Refit:
         """Mark vertices (C,) int32 that have a part in a face that turns over in some frame."""
         for block in self._all_frames.all():
             block.mark_new_flips(self._correction, self._corner_vertex, marks)
+
+
+def _left(mesh: AnimatedMesh, is_left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The faces of a mesh that are left, (N,) bool, and the vertices that these have, ascending."""
+    if is_left.all():
+        return mesh.faces, np.flatnonzero(mesh.used)
+    faces = mesh.faces[is_left]
+    is_used = np.zeros(mesh.vertex_count, dtype=bool)
+    is_used[faces] = True
+    return faces, np.flatnonzero(is_used)

@@ -17,7 +17,7 @@ from warpqem.frames.blocks import pack_frames
 from warpqem.kernels import distance_points as distance_kernels
 from warpqem.kernels import surface_limits as kernels
 from warpqem.kernels.lanes import width_of
-from warpqem.measure.far_points import FacesAround
+from warpqem.measure.face_lists import FacesAround
 from warpqem.measure.large_faces import LargeFaces, large_faces
 from warpqem.measure.surface_places import (
     InputVertices,
@@ -61,6 +61,7 @@ class OwnParts:
     Args:
         source: (K, V) vec3, key frames of the input.
         corners: (N, 3) int32, its faces.
+        used: (U,) int, the vertices that these have, ascending.
         vertex_map: (V,) int32, input vertex to output vertex.
         placed: (K, C) vec3, the output as placed.
         faces: (N', 3) int32, its faces.
@@ -81,6 +82,7 @@ class OwnParts:
         self,
         source: wp.array,
         corners: np.ndarray,
+        used: np.ndarray,
         vertex_map: np.ndarray,
         placed: wp.array,
         faces: np.ndarray,
@@ -95,11 +97,8 @@ class OwnParts:
         reference, self._lanes = (self._packed(points) for points in (source, placed))
         vertex_count = placed.shape[1]
         around, around_output = FacesAround(corners, len(vertex_map)), FacesAround(faces, vertex_count)
-        input_faces = input_side(reference, around, vertex_map, np.arange(len(corners)), vertex_count)
+        input_faces = input_side(reference, around, vertex_map, vertex_count)
         output = Side(self._lanes, around_output, around_output)
-        is_used = np.zeros(len(vertex_map), dtype=bool)
-        is_used[corners] = True
-        used = np.flatnonzero(is_used)
         is_asked = not device_traits(device).own_memory
         listed = None
         if is_asked:
@@ -113,10 +112,10 @@ class OwnParts:
         own = component[faces[:, 0]]
         is_small = np.bincount(own) <= FEW_FACES
         few = is_small[own]
-        edges = _edges(corners[is_small[component[vertex_map[corners[:, 0]]]]], len(vertex_map))
+        edges = _edges(corners[_at_few(corners, vertex_map, component, is_small)], len(vertex_map))
         edges_of_few = _edges(faces[few], vertex_count)
         of_input = InputVertices(reference, output, used, vertex_map[used])
-        of_output = SimplifiedVertices(self._lanes, input_faces, np.unique(faces), around_output)
+        of_output = SimplifiedVertices(self._lanes, input_faces, _corners_of(faces, vertex_count), around_output)
         points = [
             of_large,
             SampledFaces(reference, edges, vertex_map[edges[:, :2]], output, around_output, MIDDLE_OF_EDGE),
@@ -166,6 +165,26 @@ class OwnParts:
         kernel, outputs = distance_kernels.scale_frames[width_of(lanes)], [rows_of(lanes)]
         launch_in_parts(kernel, lanes.shape, [self._scale], outputs, device=self._device)
         return lanes
+
+
+def _at_few(
+    corners: npt.NDArray[np.integer],
+    vertex_map: npt.NDArray[np.integer],
+    component: npt.NDArray[np.integer],
+    is_small: npt.NDArray[np.bool_],
+) -> npt.NDArray[np.integer]:
+    """The faces of the input (N, 3) that belong to components (n,) with few faces."""
+    if not is_small.any():
+        return np.empty(0, dtype=np.int64)
+    # Vertices without a component are no corners.
+    return np.flatnonzero(is_small[component[vertex_map]].take(corners[:, 0]))
+
+
+def _corners_of(faces: npt.NDArray[np.integer], vertex_count: int) -> npt.NDArray[np.int64]:
+    """The vertices that faces (m, 3) have, ascending."""
+    is_corner = np.zeros(vertex_count, dtype=bool)
+    is_corner[faces] = True
+    return np.flatnonzero(is_corner)
 
 
 def _edges(faces: npt.NDArray[np.integer], vertex_count: int) -> npt.NDArray[np.int32]:

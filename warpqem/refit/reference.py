@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 
 from warpqem.frames.blocks import pack_frames, unpack_frames
-from warpqem.frames.device_frames import BoundsMeter
+from warpqem.frames.device_frames import BoundsMeter, to_device
 from warpqem.frames.device_source import DeviceFrames
 from warpqem.kernels.frame_bounds import compare_frames
 from warpqem.mesh.mesh_input import AnimatedMesh
@@ -35,8 +35,7 @@ class Reference:
     @classmethod
     def of(cls, mesh: AnimatedMesh, key_frames: np.ndarray, device: str) -> Reference:
         """Those of a mesh; where it is on the device already they are taken from there."""
-        is_there = mesh.held is not None or isinstance(mesh.source, DeviceFrames)
-        if not is_there or not device_traits(device).own_memory:
+        if not device_traits(device).own_memory:
             unit = mesh.to_unit(mesh.chosen_points(key_frames))
             return cls(
                 new_arrays.uploaded(unit, dtype=wp.vec3, device=device),
@@ -45,8 +44,11 @@ class Reference:
         if mesh.held is not None:
             given, rows = mesh.held.points, key_frames
         else:
-            assert isinstance(mesh.source, DeviceFrames)
-            given, rows = mesh.source.chosen(key_frames, mesh.origin), np.arange(len(key_frames))
+            rows = np.arange(len(key_frames))
+            if isinstance(mesh.source, DeviceFrames):
+                given = mesh.source.chosen(key_frames, mesh.origin)
+            else:
+                given = to_device(mesh.chosen_points(key_frames), device)
         blocks = pack_frames(
             given, device, frames=rows, centre=mesh.centre, scale=float(np.float32(1.0 / mesh.diagonal))
         )

@@ -53,16 +53,21 @@ def find_seams(
         out_faces: (N', 3) int32.
         out_count: output vertices.
     """
-    marks = np.zeros(faces.size, dtype=bool)
-    marks[half_edge] = True
-    left = marks.reshape(-1, 3)[is_left].ravel()
-    ends = vertex_map[half_edge_ends(faces[is_left], np.flatnonzero(left))]
-    found = SeamEdges.of(faces[is_left], left), SeamEdges.of(out_faces, image_marks(ends, out_faces, out_count))
-    if not len(found[1].half_edge):
-        # Of a small island none may be left.
-        none = SeamEdges(np.zeros(0, dtype=np.int32), np.zeros(0, dtype=np.int32))
+    none = SeamEdges(np.zeros(0, dtype=np.int32), np.zeros(0, dtype=np.int32))
+    left = half_edge[is_left[half_edge // 3]]
+    if not len(left):
         return none, none
-    return found
+    ends = vertex_map[half_edge_ends(faces, left)]
+    output = SeamEdges.of(out_faces, image_marks(ends, out_faces, out_count))
+    if not len(output.half_edge):
+        # Of a small island none may be left.
+        return none, none
+    marks = np.zeros(faces.size, dtype=bool)
+    marks[left] = True
+    every = is_left.all()
+    return SeamEdges.of(
+        faces if every else faces[is_left], marks if every else marks.reshape(-1, 3)[is_left].ravel()
+    ), output
 
 
 def find_borders(

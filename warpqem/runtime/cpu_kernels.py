@@ -74,7 +74,7 @@ BEST = (
 MEASURED = ("surface_distance", "largest_distance", "distance_screen.width_8")
 VALUES = ("attribute_fit", "transfer", "surface_walk")
 # A CPU has other kernels for what these do, or the host does it.
-GPU_ONLY = ("shared_collapse", "softness", "large_faces")
+GPU_ONLY = ("shared_collapse", "softness", "large_faces", "face_lists")
 PREFIX = "warpqem.kernels."
 # Seconds between two looks at what other processes have done.
 WAIT = 0.05
