@@ -168,6 +168,8 @@ def points_on_level(
         vertices = protection.features.vertices
     else:
         named, mesh = FacePoints.authored(job.source.prim, strict=False).points, job.mesh
+        if not named:
+            return {}
         vertex = _vertex_of_used_point(job)
         place = {name: np.flatnonzero(mesh.used_points == point) for name, point in named.items()}
         vertices = {name: int(vertex[found[0]]) for name, found in place.items() if len(found)}

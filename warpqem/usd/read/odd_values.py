@@ -5,7 +5,7 @@ Whatever decides the shape is refused elsewhere. Here is what only comes along, 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 import numpy.typing as npt
@@ -31,10 +31,12 @@ def find_odd_values(source: MeshSource) -> list[str]:
     shares, and skeletons and animations whose arrays do not fit their joints.
     """
     mesh = source.mesh
+    known = set(source.prim.GetPrimDefinition().GetPropertyNames())
+    authored = [one for one in source.prim.GetAuthoredAttributes() if one.GetName() in known]
     found = [
-        *_types(source.prim),
+        *_types(authored),
         *_primvar_layout(source),
-        *_tokens(source.prim),
+        *_tokens(authored),
         *_subsets(mesh, source.topology.polygon_count, source.point_count),
         *_transform(source),
     ]
@@ -49,12 +51,12 @@ def find_odd_values(source: MeshSource) -> list[str]:
     return found
 
 
-def _types(prim: Usd.Prim) -> Iterator[str]:
-    known = set(prim.GetPrimDefinition().GetPropertyNames())
-    for attribute in prim.GetAuthoredAttributes():
-        value = attribute.Get(Usd.TimeCode.EarliestTime()) if attribute.GetName() in known else None
+def _types(authored: Iterable[Usd.Attribute]) -> Iterator[str]:
+    """Arrays of another type than the schema's, of attributes that it knows."""
+    for attribute in authored:
         declared = attribute.GetTypeName()
-        if value is None or not declared.isArray or type(value) is type(declared.defaultValue):
+        value = attribute.Get(Usd.TimeCode.EarliestTime()) if declared.isArray else None
+        if value is None or type(value) is type(declared.defaultValue):
             continue
         yield f"{attribute.GetPath()}: {Sdf.GetValueTypeNameForValue(value)} in the file, taken as {declared}"
 
@@ -87,12 +89,10 @@ def _numbers(attribute: Usd.Attribute, code: Usd.TimeCode) -> npt.NDArray[np.flo
     return array if array is not None and array.dtype.kind == "f" and len(array) else None
 
 
-def _tokens(prim: Usd.Prim) -> Iterator[str]:
+def _tokens(authored: Iterable[Usd.Attribute]) -> Iterator[str]:
     """Names that the schema does not know, such as an orientation "up": USD takes the default instead, or anything."""
-    definition = prim.GetPrimDefinition()
-    known = set(definition.GetPropertyNames())
-    for attribute in prim.GetAuthoredAttributes():
-        allowed = attribute.GetMetadata("allowedTokens") if attribute.GetName() in known else None
+    for attribute in authored:
+        allowed = attribute.GetMetadata("allowedTokens")
         if not allowed:
             continue
         for code in sample_codes(attribute):
