@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from warpqem.mesh.components import lowest_members
 from warpqem.mesh.mesh_input import is_proper
-from warpqem.pipeline.surface_transfer import joined_edges
+from warpqem.pipeline.surface_transfer import joined_edges, matching_corners
 
 __all__ = ["CutSurface", "cut_surface"]
 
@@ -59,8 +59,10 @@ def cut_surface(faces: Ints, seams: npt.NDArray[np.int64], sheets: Ints | None =
         part = np.flatnonzero(beside)
         own = topology[part]
         # Pairs as in the whole mesh, as all faces at a vertex of a seam are in this part.
-        links = _joined_corners(own, *joined_edges(faces[part], seams, own))
-        side = lowest_members(own.size, links).reshape(-1, 3)
+        one, other = matching_corners(*joined_edges(faces[part], seams, own), own)
+        # Faces back to back share the third vertex, too.
+        shared = np.flatnonzero(own.ravel()[one] == own.ravel()[other])
+        side = lowest_members(own.size, np.stack([one[shared], other[shared]], axis=1)).reshape(-1, 3)
         label[part] = np.where(on_seam[part], int(topology.max()) + 1 + side, own)
     if not used.all():
         label, faces = label[used], faces[used]
@@ -76,23 +78,3 @@ def cut_surface(faces: Ints, seams: npt.NDArray[np.int64], sheets: Ints | None =
         everywhere[used] = corner
         corner = everywhere
     return CutSurface(corner, vertex)
-
-
-def _joined_corners(
-    topology: Ints, first: npt.NDArray[np.int64], second: npt.NDArray[np.int64]
-) -> npt.NDArray[np.int64]:
-    """Pairs (L, 2) of corners at one vertex of two faces that share the edges from these corners (P,) on."""
-    corner = topology.ravel()
-    (after, last), (other_after, other_last) = ((_turned(edge, 1), _turned(edge, 2)) for edge in (first, second))
-    along = corner[first] == corner[second]
-    at_first, at_after = np.where(along, second, other_after), np.where(along, other_after, second)
-    # Faces back to back share the third vertex, too.
-    third = np.flatnonzero(corner[last] == corner[other_last])
-    one = np.concatenate([first, after, last[third]])
-    other = np.concatenate([at_first, at_after, other_last[third]])
-    return np.stack([one, other], axis=1)
-
-
-def _turned(corner: npt.NDArray[np.int64], by: int) -> npt.NDArray[np.int64]:
-    """The corner so many after each one in its face."""
-    return corner - corner % 3 + (corner + by) % 3
