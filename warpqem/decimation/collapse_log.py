@@ -20,6 +20,8 @@ __all__ = ["CollapseRecord", "log_of", "new_log", "ordered_log", "read_log"]
 # Share of the collapses so far whose errors say how far the mesh is from the input. Over 68 cells the root mean square
 # of the last sixteenth is 0.2 to 1.6, mostly 0.7 to 1.3, of what the quadrics of all clusters have in the end.
 RECENT = 1.0 / 16.0
+# Collapses whose recent errors are found at once: their numbers stay in the cache.
+AT_ONCE = 8192
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -205,16 +207,19 @@ def _slots_by_sorts(rows: wp.array, count: wp.array, capacity: int) -> wp.array:
 def _recent_error(error: np.ndarray) -> np.ndarray:
     """(C,) float32, root mean square over the last ``RECENT`` of the collapses up to each, at least itself."""
     total = np.zeros(len(error) + 1)
-    np.cumsum(np.square(error, dtype=np.float64), out=total[1:])
-    count = np.arange(1, len(error) + 1)
-    taken = np.maximum((RECENT * count).astype(np.int64), 1)
-    count -= taken
-    # Indices are in range: so NumPy need not copy what it takes.
-    mean = np.take(total, count, mode="clip")
-    np.subtract(total[1:], mean, out=mean)
-    np.maximum(mean, 0.0, out=mean)
-    mean /= taken
-    return np.sqrt(mean, out=mean).astype(np.float32)
+    np.square(error, dtype=np.float64, out=total[1:])
+    np.cumsum(total, out=total)
+    recent = np.empty(len(error), dtype=np.float32)
+    # Some at a time: new memory for all at once takes longer than the rest.
+    for first in range(0, len(error), AT_ONCE):
+        last = min(first + AT_ONCE, len(error))
+        count = np.arange(first + 1, last + 1)
+        taken = np.maximum((RECENT * count).astype(np.int64), 1)
+        mean = total[first + 1 : last + 1] - total.take(count - taken)
+        np.maximum(mean, 0.0, out=mean)
+        mean /= taken
+        recent[first:last] = np.sqrt(mean, out=mean)
+    return recent
 
 
 def _sorted_rounds(round_index: np.ndarray, cost: np.ndarray, removed: np.ndarray, vertex_count: int) -> np.ndarray:

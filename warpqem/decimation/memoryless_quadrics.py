@@ -8,6 +8,9 @@ here, so that the sums have the bits that decimation had.
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
+
 import numpy as np
 import warp as wp
 
@@ -22,7 +25,9 @@ from warpqem.kernels.topology import BORDER, SEAM
 from warpqem.mesh.grouping import any_corner
 from warpqem.mesh.seams import half_edge_ends, image_marks
 from warpqem.runtime import new_arrays
+from warpqem.runtime.ahead import done_ahead
 from warpqem.runtime.cpu_threads import thread_count
+from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import Recorder
 
 __all__ = ["MemorylessQuadrics"]
@@ -38,8 +43,11 @@ class MemorylessQuadrics:
 
     def __init__(self, input_faces: np.ndarray, ordered: DecimatedMesh) -> None:
         self._input_faces, self._ordered = input_faces, ordered
-        # Where each face is in the order that ordering had, once that is asked for.
-        self._place: np.ndarray | None = None
+        # Where each face is in the order that ordering had.
+        self._place: Callable[[], np.ndarray] | None = None
+        if ordered.face_order is not None:
+            find = functools.cache(functools.partial(_places, ordered.face_order))
+            self._place = done_ahead(find) if device_traits(str(ordered.position.device)).own_memory else find
         half_edge = np.flatnonzero(ordered.constrained)
         kind, ends = ordered.constrained[half_edge], half_edge_ends(input_faces, half_edge)
         self._seams = ends[(kind & 2) != 0]
@@ -67,9 +75,9 @@ class MemorylessQuadrics:
         # A quadric needs no faces but those at its vertex.
         near = np.flatnonzero(any_corner(is_wanted.take(corner_row)))
         corner_row = corner_row[near]
-        if ordered.face_order is not None:
+        if self._place is not None:
             # As ordering had them, so that the adjacency lists corners in the same order.
-            corner_row = corner_row[self._order_of(face_map[near], ordered.face_order)]
+            corner_row = corner_row[np.argsort(self._place().take(face_map[near]))]
         corner_vertex = corner_row.ravel().astype(np.int32, copy=False)
         flags = np.zeros(len(root), dtype=np.int32)
         borders, seams = (ordered.row[root[ends]] for ends in (self._borders, self._seams))
@@ -101,10 +109,9 @@ class MemorylessQuadrics:
 
         run_once([LaunchGroup(renew, part_count)], str(device))
 
-    def _order_of(self, face: np.ndarray, face_order: np.ndarray) -> np.ndarray:
-        """The indices (n,) that bring faces (n,) into the order that all faces have in ``face_order`` (N,)."""
-        if self._place is None:
-            self._place = np.empty_like(face_order)
-            self._place[face_order] = np.arange(len(face_order), dtype=face_order.dtype)
-        order: np.ndarray = np.argsort(self._place[face])
-        return order
+
+def _places(face_order: np.ndarray) -> np.ndarray:
+    """(N,) int32, where each face is in an order (N,) of them."""
+    place = np.empty_like(face_order)
+    place[face_order] = np.arange(len(face_order), dtype=face_order.dtype)
+    return place

@@ -116,6 +116,7 @@ class LevelOrder:
         if len(result.faces) <= target_faces:
             # No matter what ended the order there.
             result = replace(result, stopped="target")
+        result = replace(result, log=result.log.made())
         if sink is None:
             result = replace(result, measuring=ResultMeasure.of(self._work.mesh, self._work.device))
         return reached(result, target_faces)

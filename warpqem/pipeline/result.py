@@ -229,7 +229,7 @@ def without_frames(work: Prepared, placer: Placer, ordered: DecimatedMesh) -> Si
         stopped=ordered.stopped,
         error=100.0 * error,
         flips=np.empty(0, dtype=np.int32),
-        log=log.made(),
+        log=log,
         key_frames=work.key_frames,
         diagonal=work.mesh.diagonal,
         plan=work.plan,

@@ -126,7 +126,7 @@ def simplify(
     result = without_frames(work, placer, ordered)
     del ordered
     result = with_frames(result, work, placer, asked.refits, sink=sink, device=device, progress=listen)
-    return reached(replace(result, measuring=measuring), work.goal.target_faces)
+    return reached(replace(result, log=result.log.made(), measuring=measuring), work.goal.target_faces)
 
 
 def plan(

@@ -112,6 +112,7 @@ class OwnParts:
         own = component[faces[:, 0]]
         is_small = np.bincount(own) <= FEW_FACES
         few = is_small[own]
+        many = faces[~few] if few.any() else faces
         edges = _edges(corners[_at_few(corners, vertex_map, component, is_small)], len(vertex_map))
         edges_of_few = _edges(faces[few], vertex_count)
         of_input = InputVertices(reference, output, used, vertex_map[used])
@@ -119,7 +120,7 @@ class OwnParts:
         points = [
             of_large,
             SampledFaces(reference, edges, vertex_map[edges[:, :2]], output, around_output, MIDDLE_OF_EDGE),
-            SampledFaces(self._lanes, faces[~few], faces[~few], input_faces, around_output),
+            SampledFaces(self._lanes, many, many, input_faces, around_output),
             SampledFaces(self._lanes, edges_of_few, edges_of_few[:, :2], input_faces, around_output, POINTS_OF_EDGE),
             SampledFaces(self._lanes, faces[few], faces[few], input_faces, around_output, POINTS_OF_FACE),
         ]
@@ -203,7 +204,8 @@ def _rows(vertex: npt.NDArray[np.integer]) -> npt.NDArray[np.int32]:
 
 def _rows_of_corners(places: SampledFaces, row: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
     """(m,) int32, the ``row`` of the corner that each point of faces is nearest to."""
-    return row[places.faces[:, places.weights.argmax(axis=1)]].ravel()
+    assert isinstance(places.faces, np.ndarray)
+    return row.take(places.faces.take(places.weights.argmax(axis=1), axis=1)).ravel()
 
 
 def _part(array: wp.array, rows: slice) -> wp.array:
