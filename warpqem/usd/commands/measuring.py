@@ -109,12 +109,13 @@ class WrittenMeasures:
         """
         waiting = [one for one in self._waiting if one.report.status == "simplified"]
         self._waiting = []
-        try:
-            for _, some in itertools.groupby(waiting, lambda one: one.pair.frame):
-                self._measure(list(some))
-        except Exception:
-            for one in waiting:
-                alone(one.report.path, partial(self._measure, [one]))
+        for _, group in itertools.groupby(waiting, lambda one: one.pair.frame):
+            some = list(group)
+            try:
+                self._measure(some)
+            except Exception:
+                for one in some:
+                    alone(one.report.path, partial(self._measure, [one]))
 
     def _measure(self, waiting: list[_Waiting]) -> None:
         start = time.perf_counter()
