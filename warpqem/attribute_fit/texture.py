@@ -99,11 +99,19 @@ def reference_signs(
         source_face: (N',) int32, the input's face that each face of the output goes on from.
         is_turned: (N,) bool, faces of the input that the output has the other way round.
     """
-    sign = np.sign(areas_at(values, layout.corner_element)).astype(np.int8)
-    np.negative(sign, out=sign, where=is_turned)
+
+    def turns(face: npt.NDArray[np.int32] | slice) -> npt.NDArray[np.int8]:
+        sign = np.sign(areas_at(values, layout.corner_element[face])).astype(np.int8)
+        return np.negative(sign, out=sign, where=is_turned[face])
+
     partner = layout.partners.face_on_host
-    most = np.sign(np.where(partner >= 0, sign[partner], 0).sum(axis=1))
-    return np.where(most != 0, most, sign[source_face]).astype(np.int8)
+    # Of the whole input only where there are as many samples.
+    is_few = partner.size < len(layout.corner_element)
+    found = turns(partner.ravel()).reshape(partner.shape) if is_few else turns(np.s_[:])[partner]
+    most = np.sign(np.where(partner >= 0, found, 0).sum(axis=1)).astype(np.int8)
+    unknown = np.flatnonzero(most == 0)
+    most[unknown] = turns(source_face[unknown])
+    return most
 
 
 def _find_tiles(layout: ValueLayout, values: Floats, start: Floats) -> _Tiles:
