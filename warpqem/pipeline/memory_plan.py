@@ -186,8 +186,8 @@ FRAME_OUTPUT = 120
 REFIT_KEY, REFIT_FACE, REFIT_VERTEX, REFIT_OUTPUT, REFIT_STEP = 24, 210, 160, 1700, 20
 # The exchange of collapses, for each input vertex and key frame: what decimation left once more; and frame looked at:
 # the points as read, about the origin and in blocks, and the level's, also in double precision; for each face: corners,
-# distances, lists.
-EXCHANGE_KEY, EXCHANGE_FRAME, EXCHANGE_FACE = 52, 100, 120
+# distances, lists; on a device with memory of its own, what sorts the lists by vertex and by cluster, 24 each.
+EXCHANGE_KEY, EXCHANGE_FRAME, EXCHANGE_FACE, EXCHANGE_SORT = 52, 100, 120, 48
 # The proof of a distance, for each input face: pieces of 60 bytes, some five of both meshes for each, and once more
 # while they are joined; what lies across edges and the search hierarchies. For each frame it looks at, and input
 # vertex: the points as read and about the origin, in double precision, in blocks, and the level's; for each output
@@ -331,7 +331,7 @@ def _place(needs: MemoryNeeds, device: str) -> tuple[int, int]:
         looked = min(MAX_LOOKED_FRAMES, needs.frame_count)
         frames = EXCHANGE_KEY * _padded(needs.key_frames, device) + EXCHANGE_FRAME * _padded(looked, device)
         fixed += frames * needs.vertex_count
-        fixed += EXCHANGE_FACE * needs.face_count
+        fixed += (EXCHANGE_FACE + EXCHANGE_SORT * device_traits(device).own_memory) * needs.face_count
     if needs.bounded:
         bound = BOUND_VERTEX * needs.vertex_count + BOUND_OUTPUT * needs.output_vertices
         bound += BOUND_PIECES * needs.face_count
