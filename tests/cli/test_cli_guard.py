@@ -135,12 +135,14 @@ def test_signal_that_is_ignored_from_the_start_stays_ignored(number):
     assert process.returncode == 0
 
 
+# Short sleeps: a signal just before a long one would not be looked at until its end.
 INTERRUPTIBLE = """
 from warpqem.cli.crash_guard import interruptible
 with interruptible():
     try:
         print('ready', flush=True)
-        time.sleep(60)
+        for _ in range(6000):
+            time.sleep(0.01)
     except KeyboardInterrupt:
         {then}
 """
