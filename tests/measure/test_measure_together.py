@@ -85,6 +85,17 @@ def test_collapsed_mesh_has_its_error_and_the_others_have_theirs(pairs):
     assert [found[0], found[2]] == [alone(pairs[0]), alone(pairs[1])]
 
 
+def test_mesh_beyond_all_searches_has_its_error_wherever_it_stands(pairs):
+    corners = np.float32([[[0, 0, 0], [1e15, 0, 0], [0, 1e15, 0]]])
+    far = StillPair(np.eye(3, dtype=np.float32)[None], ONE_FACE, corners, ONE_FACE, 0)
+    for place in range(3):
+        given = [pairs[0], pairs[1]]
+        given.insert(place, far)
+        found = measure_together(given, device="cpu")
+        assert "every face is degenerate in frame 0" in str(found.pop(place))
+        assert found == [alone(pairs[0]), alone(pairs[1])]
+
+
 @pytest.mark.parametrize("bend", [0.0, 1e-9, 1e-3])
 def test_one_of_several_meshes_that_is_a_line_is_found(bend):
     line = LINE[0].astype(np.float64)

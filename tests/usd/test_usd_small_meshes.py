@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -300,3 +301,18 @@ def test_unexpected_error_of_measuring_is_the_failure_of_its_mesh(tmp_path, monk
     monkeypatch.undo()
     whole = figures(run(tmp_path, balls(4), ratio=0.25))
     assert figures(report) == [whole[0], None, *whole[2:]]
+
+
+def test_time_of_a_mesh_that_is_measured_alone_after_an_error_counts_once(tmp_path, monkeypatch):
+    measure = measuring.measure_together
+
+    def broken(pairs, **options):
+        if len(pairs) > 1:
+            raise IndexError("odd")
+        time.sleep(0.5)
+        return measure(pairs, **options)
+
+    monkeypatch.setattr(measuring, "measure_together", broken)
+    start = time.perf_counter()
+    report = run(tmp_path, balls(3), ratio=0.25)
+    assert sum(prim.seconds for prim in report.prims) <= time.perf_counter() - start

@@ -299,7 +299,7 @@ class SurfaceComparison:
             degrees = np.where(against & either, 180.0 - degrees, degrees)
         found = distance.numpy().reshape(shape)
         if (found < 0).any():
-            frame = frames[int(np.argmax((found < 0).any(axis=1)))]
+            frame = frames[int(np.argmax((found < 0).any(axis=1))) // self._mesh_count]
             raise DegenerateMeshError(f"{other.name} mesh: every face is degenerate in frame {frame}")
         samples = slice(drawn.face.shape[1])
         angles = degrees[:, samples]

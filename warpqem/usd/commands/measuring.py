@@ -105,26 +105,27 @@ class WrittenMeasures:
 
         Args:
             alone: Called with the path of a mesh and what measures it, where an error that nobody foresees is one of
-                several: it is the matter of one mesh.
+                several: it is the matter of one mesh. Adds the time that it takes to the report.
         """
         waiting = [one for one in self._waiting if one.report.status == "simplified"]
         self._waiting = []
         for _, group in itertools.groupby(waiting, lambda one: one.pair.frame):
-            some = list(group)
+            some, start = list(group), time.perf_counter()
             try:
                 self._measure(some)
             except Exception:
                 for one in some:
                     alone(one.report.path, partial(self._measure, [one]))
+                continue
+            seconds = (time.perf_counter() - start) / len(some)
+            for one in some:
+                one.report.seconds += seconds
 
     def _measure(self, waiting: list[_Waiting]) -> None:
-        start = time.perf_counter()
         with device_turn(self._device) as used:
             found = measure_together([one.pair for one in waiting], device=used)
-        seconds = (time.perf_counter() - start) / len(waiting)
         for one, measured in zip(waiting, found, strict=True):
             _note(one.job, one.report, measured)
-            one.report.seconds += seconds
 
 
 def _note(job: MeshJob, report: PrimReport, found: Measured | WarpqemError) -> None:
