@@ -11,6 +11,7 @@ from warpqem.attribute_fit.partners import SAMPLES
 from warpqem.mesh.components import lowest_members
 from warpqem.mesh.directions import unit_vectors
 from warpqem.mesh.edges import corner_links, edge_key
+from warpqem.mesh.grouping import different, ranks
 from warpqem.mesh.mesh_input import is_proper
 
 __all__ = ["split_corners"]
@@ -47,9 +48,7 @@ def split_corners(faces: Ints, corner_row: Ints, fits: Iterable[Floats]) -> tupl
     for fit in fits:
         is_near &= _agree(fit, links) | _agree(unit_vectors(SAMPLES @ fit), links)
     lowest = lowest_members(faces.size, links[is_near])
-    is_first = lowest == np.arange(faces.size)
-    group = (np.cumsum(is_first, dtype=np.int32) - 1)[lowest]
-    return group.reshape(faces.shape), row[is_first]
+    return ranks(lowest, faces.size).reshape(faces.shape), row[different(lowest, faces.size)]
 
 
 def _agree(normals: Floats, links: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:

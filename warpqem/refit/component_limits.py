@@ -13,6 +13,7 @@ import warp as wp
 
 from warpqem.kernels import surface_limits as kernels
 from warpqem.mesh.components import lowest_members
+from warpqem.mesh.grouping import ranks
 from warpqem.refit.matching import Matching
 from warpqem.refit.own_parts import OwnParts
 from warpqem.runtime import new_arrays
@@ -59,11 +60,8 @@ class ComponentLimits:
         self._corners, self._used, self._vertex_map, self._faces = corners, used, vertex_map, faces
         vertex_count = placed.shape[1]
         lowest = lowest_members(vertex_count, np.concatenate([faces[:, :2], faces[:, 1:]]))
-        of_face = lowest[faces[:, 0]]
-        is_lowest = np.zeros(vertex_count, dtype=bool)
-        is_lowest[of_face] = True
         # Numbers in the order of their lowest vertices.
-        self._component = (np.cumsum(is_lowest, dtype=np.int32) - 1).take(of_face)
+        self._component = ranks(lowest[faces[:, 0]], vertex_count)
         self.sampled = sampled = kernels.Limits()
         count = int(self._component.max(initial=-1)) + 1
         sampled.frame_scale = frame_scale

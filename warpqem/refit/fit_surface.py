@@ -21,6 +21,7 @@ from warpqem.frames.device_frames import to_device
 from warpqem.kernels import material_frame as frame_kernels
 from warpqem.kernels import refit as kernels
 from warpqem.kernels.surface_limits import raise_limits
+from warpqem.mesh.grouping import different
 from warpqem.mesh.mesh_input import AnimatedMesh
 from warpqem.place.block_placer import PlacedFrames
 from warpqem.place.frame_store import AnyFrameStore, DeviceFrameStore
@@ -376,6 +377,4 @@ def _left(mesh: AnimatedMesh, is_left: np.ndarray) -> tuple[np.ndarray, np.ndarr
     if is_left.all():
         return mesh.faces, np.flatnonzero(mesh.used)
     faces = mesh.faces[is_left]
-    is_used = np.zeros(mesh.vertex_count, dtype=bool)
-    is_used[faces] = True
-    return faces, np.flatnonzero(is_used)
+    return faces, different(faces, mesh.vertex_count)

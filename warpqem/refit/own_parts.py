@@ -29,6 +29,7 @@ from warpqem.measure.surface_places import (
     squared_distances,
 )
 from warpqem.mesh.edges import edge_key
+from warpqem.mesh.grouping import different
 from warpqem.runtime import new_arrays
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import launch
@@ -116,7 +117,7 @@ class OwnParts:
         edges = _edges(corners[_at_few(corners, vertex_map, component, is_small)], len(vertex_map))
         edges_of_few = _edges(faces[few], vertex_count)
         of_input = InputVertices(reference, output, used, vertex_map[used])
-        of_output = SimplifiedVertices(self._lanes, input_faces, _corners_of(faces, vertex_count), around_output)
+        of_output = SimplifiedVertices(self._lanes, input_faces, different(faces, vertex_count), around_output)
         points = [
             of_large,
             SampledFaces(reference, edges, vertex_map[edges[:, :2]], output, around_output, MIDDLE_OF_EDGE),
@@ -179,13 +180,6 @@ def _at_few(
         return np.empty(0, dtype=np.int64)
     # Vertices without a component are no corners.
     return np.flatnonzero(is_small[component[vertex_map]].take(corners[:, 0]))
-
-
-def _corners_of(faces: npt.NDArray[np.integer], vertex_count: int) -> npt.NDArray[np.int64]:
-    """The vertices that faces (m, 3) have, ascending."""
-    is_corner = np.zeros(vertex_count, dtype=bool)
-    is_corner[faces] = True
-    return np.flatnonzero(is_corner)
 
 
 def _edges(faces: npt.NDArray[np.integer], vertex_count: int) -> npt.NDArray[np.int32]:
