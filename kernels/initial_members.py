@@ -53,19 +53,21 @@ def measure_members(
             c = position_in[corner_vertex_in[h + 2], t]
             cross = lane_cross(b - a, c - a)
             doubled = lane_dot(cross, cross)
-            first = lane_dot(a - b, a - b)
-            second = lane_dot(b - c, b - c)
-            third = lane_dot(c - a, c - a)
+            # A third of each area; all roots at once, before the sums that take one lane after another.
+            size = type(doubled)()
+            for k in range(len(size)):
+                size[k] = wp.sqrt(doubled[k]) / 6.0
+            longest = wp.max(wp.max(lane_dot(a - b, a - b), lane_dot(b - c, b - c)), lane_dot(c - a, c - a))
             # Frames that fill up the last block are points without an extent.
-            for k in range(len(doubled)):
-                size = wp.float64(wp.sqrt(doubled[k]) / 6.0)
-                longest = wp.max(wp.max(first[k], second[k]), third[k])
-                mean_area += size
-                sum_of_longest += longest
-                if t + k == 0:
-                    area += size
-                    reach = wp.max(reach, longest / 3.0)
+            for k in range(len(size)):
+                mean_area += wp.float64(size[k])
+                sum_of_longest += longest[k]
+            if t == 0:
+                area += wp.float64(size[0])
+                reach = wp.max(reach, longest[0] / 3.0)
         mean_reach = wp.max(mean_reach, sum_of_longest / (3.0 * wp.float32(key_count)))
+    own = position_in[v, 0]
+    members.first_point[v] = wp.vec3(own[0, 0], own[1, 0], own[2, 0])
     members.area[0, v] = wp.float32(area)
     members.area[1, v] = wp.float32(mean_area / wp.float64(key_count))
     members.reach_squared[0, v] = reach

@@ -82,6 +82,14 @@ def longest_pose(frames: AnyKeyFrames, model: CostModel, u: wp.int32, v: wp.int3
 
 
 @wp.func
+def member_point(state: MeshState, frames: AnyKeyFrames, m: wp.int32, pose: CollapsePose) -> wp.vec3:
+    """Where a member is in a pose."""
+    if pose.frame == 0:
+        return state.members.first_point[m]
+    return key_point(frames.input, m, pose.frame)
+
+
+@wp.func
 def ring_distance_squared(
     state: MeshState, frames: AnyKeyFrames, u: wp.int32, v: wp.int32, pose: CollapsePose, p: wp.vec3
 ) -> wp.float32:
@@ -112,7 +120,7 @@ def gap_of_member(
     m: wp.int32,
 ) -> wp.float32:
     """Area times squared distance of a member of ``u`` or ``v``: the most of what it is in both poses."""
-    distance = ring_distance_squared(state, frames, u, v, first, key_point(frames.input, m, 0))
+    distance = ring_distance_squared(state, frames, u, v, first, state.members.first_point[m])
     gap = state.members.area[0, m] * distance
     if longest.frame > 0:
         distance = ring_distance_squared(state, frames, u, v, longest, key_point(frames.input, m, longest.frame))
@@ -180,7 +188,7 @@ def ring_distances_squared(
     points = MemberPoints()
     near = MemberFloats()
     for k in range(MEMBER_WIDTH):
-        p = key_point(frames.input, member[k], pose.frame)
+        p = member_point(state, frames, member[k], pose)
         points[0, k] = p[0]
         points[1, k] = p[1]
         points[2, k] = p[2]
@@ -243,12 +251,15 @@ def member_gap(
 def nearest_member(
     state: MeshState, frames: AnyKeyFrames, vertex: wp.int32, pose: CollapsePose, p: wp.vec3, best: wp.float32
 ) -> wp.float32:
-    """The least of ``best`` and the squared distances of ``p`` from the surface around the members of a vertex."""
+    """The least of ``best`` and the squared distances of ``p`` from the surface around the members of a vertex.
+
+    Any value below zero stands for all: it says that ``p`` is on that surface.
+    """
     least = best
     row = wp.where(pose.frame == 0, 0, 1)
     m = vertex
-    while m >= 0:
-        squared = wp.length_sq(p - key_point(frames.input, m, pose.frame))
+    while m >= 0 and least > 0.0:
+        squared = wp.length_sq(p - member_point(state, frames, m, pose))
         least = wp.min(least, squared - state.members.reach_squared[row, m] / pose.share)
         m = state.members.following[m]
     return least
@@ -280,11 +291,13 @@ def gap_of_face(
     q = key_point(frames.position, x, pose.frame)
     r = key_point(frames.position, y, pose.frame)
     middle = face_middle(pose.apex, q, r)
-    squared = nearest_member(state, frames, u, pose, middle, wp.float32(wp.inf))
-    squared = nearest_member(state, frames, v, pose, middle, squared)
-    squared = nearest_member(state, frames, x, pose, middle, squared)
+    squared = nearest_member(state, frames, x, pose, middle, wp.float32(wp.inf))
     squared = nearest_member(state, frames, y, pose, middle, squared)
-    return face_area(pose.apex, q, r) * wp.max(squared, 0.0)
+    squared = nearest_member(state, frames, u, pose, middle, squared)
+    squared = nearest_member(state, frames, v, pose, middle, squared)
+    if squared <= 0.0:
+        return 0.0
+    return face_area(pose.apex, q, r) * squared
 
 
 @wp.func

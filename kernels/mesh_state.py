@@ -40,6 +40,7 @@ class Members:
 
     area: wp.array2d[wp.float32]  # (2, V) a third of the faces around, in diagonals squared: first frame, mean of all
     reach_squared: wp.array2d[wp.float32]  # (2, V) how far its faces reach from it, squared, likewise
+    first_point: wp.array[wp.vec3]  # (V,) each in the first key frame: what is walked over most lies close together
     following: wp.array[wp.int32]  # (V,) -1 for the last one
     last: wp.array[wp.int32]  # (V,)
 

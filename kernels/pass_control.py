@@ -62,12 +62,16 @@ class PassControl:
 def begin_pass(
     # in
     log: CollapseLog,
+    face_slots: wp.array[wp.int32],
     # in and out
     control: PassControl,
     # out
     candidates: EdgeList,
 ):
-    """How many edges the pass looks at, with empty lists. After the end it looks at none, and changes nothing."""
+    """How many edges the pass looks at, with empty lists. After the end it looks at none, and changes nothing.
+
+    Costs are sampled where ``face_slots`` (1,) have enough half-edges.
+    """
     candidates.count[0] = 0
     control.pass_begin[0] = log.count[0]
     control.sample_step[0] = 1
@@ -79,7 +83,7 @@ def begin_pass(
     live = control.live_faces[0]
     control.wanted[0] = wp.max(MIN_CANDIDATES, wp.int32(fraction * EDGES_PER_FACE * wp.float64(live)))
     # After a pass without a collapse every edge counts: the few not suspended may be missing from a sample.
-    if fraction == CANDIDATE_FRACTION and 3 * live >= SAMPLE_STEP * MIN_SAMPLE:
+    if fraction == CANDIDATE_FRACTION and 3 * face_slots[0] >= SAMPLE_STEP * MIN_SAMPLE:
         control.sample_step[0] = SAMPLE_STEP
 
 

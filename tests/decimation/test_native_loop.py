@@ -9,8 +9,9 @@ import warpqem
 from tests.support import meshes
 from warpqem.decimation import native_loop
 from warpqem.decimation.native_loop import SmallOrderer
-from warpqem.decimation.passes import Orderer
+from warpqem.decimation.passes import SAMPLE_STEP, Orderer
 from warpqem.errors import UnreachableTargetError
+from warpqem.kernels.pass_control import MIN_SAMPLE
 
 pytestmark = pytest.mark.skipif("CUDA_SEMANTICS" in os.environ, reason="of a CPU that works like one")
 
@@ -75,6 +76,14 @@ def test_loop_ends_as_on_the_host(options, mesh, simplified):
 @pytest.mark.parametrize("options", KINDS.values(), ids=KINDS)
 def test_loop_makes_the_collapses_of_the_host(options, simplified):
     assert_same(*(simplified(loop, OPEN, ratio=0.2, **options) for loop in (SmallOrderer, Orderer)))
+
+
+def test_costs_are_sampled_as_on_the_host(simplified, on_the_host):
+    mesh = meshes.swaying_sphere(4, 2)
+    assert 3 * len(mesh[1]) > SAMPLE_STEP * int(MIN_SAMPLE)
+    native = simplified(SmallOrderer, mesh, ratio=0.3)
+    assert on_the_host == []
+    assert_same(native, simplified(Orderer, mesh, ratio=0.3))
 
 
 def test_threads_change_no_bit(simplified, monkeypatch):

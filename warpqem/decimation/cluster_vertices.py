@@ -28,6 +28,7 @@ def build_members(corner_vertex: wp.array, adjacency: Adjacency, key_position: w
     members = Members()
     shape = (2, vertex_count)
     members.area, members.reach_squared = (new_arrays.empty(shape, dtype=wp.float32, device=device) for _ in range(2))
+    members.first_point = new_arrays.empty(vertex_count, dtype=wp.vec3, device=device)
     members.following, members.last = (new_arrays.empty(vertex_count, dtype=wp.int32, device=device) for _ in range(2))
     launch(kernels.begin_members, vertex_count, [], [members], device=device)
     inputs = [key_position, key_count, corner_vertex, adjacency.lists, FIRST_ITEM]

@@ -155,7 +155,7 @@ class DeviceOrderer(Ordering):
         kept, shared = steps.integers(len(steps.faces_removed)), SharedSteps(steps)
 
         def begin(recorder: Recorder, _: int) -> None:
-            recorder.launch(kernels.begin_pass, 1, [self.log], [control, lists[0]])
+            recorder.launch(kernels.begin_pass, 1, [self.log, control.live_faces], [control, lists[0]])
 
         groups = [LaunchGroup(begin), *steps.collecting(lists[0], histogram, 1)]
         for index in range(ROUNDS):

@@ -11,7 +11,7 @@ import warp as wp
 
 from warpqem.decimation.collapse_nodes import NodeRecorder
 from warpqem.decimation.pass_steps import HISTOGRAM_BINS, ROUNDS
-from warpqem.decimation.passes import Orderer
+from warpqem.decimation.passes import SHARED_FACES, Orderer
 from warpqem.decimation.pruning import Components
 from warpqem.decimation.recorded_launches import LaunchGroup, new_edge_list
 from warpqem.kernels import collapse as collapse_kernels
@@ -23,9 +23,9 @@ from warpqem.runtime.native_programs import NativeRecorder
 
 __all__ = ["SmallOrderer"]
 
-# Faces, times blocks of key frames, up to which a mesh is small: there are no samples of its costs, one thread is
-# enough, and all of its passes take a fraction of a second.
-SMALL_FACES = 4096
+# Faces, times blocks of key frames, up to which a mesh is small: all of its passes take a fraction of a second, so
+# nobody waits for progress or to interrupt it, and one thread does them as it is.
+SMALL_FACES = 2**18
 
 
 class SmallOrderer(Orderer):
@@ -39,7 +39,7 @@ class SmallOrderer(Orderer):
         components: Components | None = None,
     ) -> str:
         """See :class:`Ordering`. Progress is told at the end."""
-        is_small = self.face_slots * self.frames.position.shape[1] <= SMALL_FACES
+        is_small = self.face_slots < SHARED_FACES and self.face_slots * self.frames.position.shape[1] <= SMALL_FACES
         has_more = self.state.wedges.channel_count > 0 or self.model.deformation_weight > 0
         if not is_small or has_more or recorder is not None or components is not None:
             return super().run(target_faces, progress, recorder, components)
@@ -74,7 +74,7 @@ class SmallOrderer(Orderer):
         selected = lists.pop()
         histogram = new_arrays.zeros((1, HISTOGRAM_BINS), dtype=wp.int32, device=self.device)
         loop = NativeRecorder()
-        loop.launch(kernels.begin_pass, 1, [self.log], [control, lists[0]])
+        loop.launch(kernels.begin_pass, 1, [self.log, self.state.face_count], [control, lists[0]])
         loop.append(_recorded(steps.collecting(lists[0], histogram, 1)))
         loop.launch(kernels.note_candidates, 1, [lists[0]], [control])
         slots = [steps.integers(1) for _ in range(4)]

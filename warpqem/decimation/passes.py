@@ -25,7 +25,7 @@ from warpqem.runtime import new_arrays
 from warpqem.runtime.launches import launch
 from warpqem.runtime.part_launches import corners_of, launch_in_parts, rows_of
 
-__all__ = ["Orderer"]
+__all__ = ["SHARED_FACES", "Orderer"]
 
 CANDIDATE_FRACTION, FRACTION_GROWTH = float(control_kernels.CANDIDATE_FRACTION), float(control_kernels.FRACTION_GROWTH)
 EDGES_PER_FACE, SAMPLE_STEP = float(control_kernels.EDGES_PER_FACE), int(control_kernels.SAMPLE_STEP)

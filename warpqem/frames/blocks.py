@@ -8,7 +8,7 @@ import warp as wp
 from warpqem.kernels import lanes as kernels
 from warpqem.runtime import new_arrays
 from warpqem.runtime.device import device_traits
-from warpqem.runtime.part_launches import columns_of, launch_in_parts, rows_of
+from warpqem.runtime.part_launches import FIRST_ITEM, launch_in_parts
 
 __all__ = ["block_width", "chunk_frames", "chunk_steps", "frame_blocks", "pack_frames", "unpack_frames"]
 
@@ -78,18 +78,18 @@ def pack_frames(
     frame_count = len(source) if frames is None else len(rows)
     width = block_width(frame_count, device) if width is None else width
     blocks = new_arrays.empty((vertex_count, -(-frame_count // width)), dtype=kernels.POINTS[width], device=device)
-    launch_in_parts(
-        kernels.pack_frames[width],
-        blocks.shape,
-        inputs=[columns_of(source), rows, wp.vec3(*map(float, centre)), float(scale)],
-        outputs=[rows_of(blocks)],
-        device=device,
-    )
+    inputs = [source, rows, wp.vec3(*map(float, centre)), float(scale), FIRST_ITEM]
+    launch_in_parts(kernels.pack_frames[width], _tiles(blocks), inputs, [blocks], device=device)
     return blocks
 
 
 def unpack_frames(blocks: wp.array, points: wp.array) -> None:
     """Bring blocks (V, B) of points into ``points`` (F, V) on the same device."""
     unpack = kernels.unpack_frames[kernels.width_of(blocks)]
-    inputs, outputs = [rows_of(blocks)], [columns_of(points)]
-    launch_in_parts(unpack, blocks.shape, inputs, outputs, device=blocks.device)
+    launch_in_parts(unpack, _tiles(blocks), [blocks, FIRST_ITEM], [points], device=blocks.device)
+
+
+def _tiles(blocks: wp.array) -> tuple[int, int, int]:
+    """Tiles of vertices, blocks of frames, and the vertices of a tile."""
+    vertex_count, block_count = blocks.shape
+    return -(-vertex_count // kernels.TILE_VERTICES), block_count, kernels.TILE_VERTICES
