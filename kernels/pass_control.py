@@ -27,6 +27,9 @@ MIN_SAMPLE = wp.constant(wp.int32(2048))
 # A host closes the gaps that dead faces leave when fewer than this part of the faces is alive.
 LIVE_FRACTION = wp.constant(wp.float64(0.7))
 
+# No collapse has it: costs are finite.
+LAST_KEY = wp.constant(wp.int64(2**63 - 1))
+
 # Why a loop of passes ended. FULL_POOL: the adjacency has to be built anew, for want of room. COMPONENTS: some are
 # small enough to be pruned.
 RUNNING = wp.constant(wp.int32(0))
@@ -183,6 +186,31 @@ def note_candidates(
     control.candidate_count[0] = candidates.count[0]
 
 
+@wp.func
+def cutoff_key(
+    state: MeshState, selected: EdgeList, faces_removed_in: wp.array[wp.int32], remaining: wp.int32
+) -> wp.int64:
+    """The least key such that the collapses before it remove ``remaining`` faces, fewer than all remove.
+
+    By halving: a sum for each bit of a key, where looking at pairs takes one for each collapse.
+    """
+    below = wp.int64(0)
+    key = LAST_KEY
+    if remaining <= 0:
+        key = below
+    while key - below > wp.int64(1):
+        middle = below + (key - below) / wp.int64(2)
+        before = wp.int32(0)
+        for j in range(selected.count[0]):
+            if faces_removed_in[j] > 0 and log_key(state, selected.half_edge[j]) < middle:
+                before += faces_removed_in[j]
+        if before >= remaining:
+            key = middle
+        else:
+            below = middle
+    return key
+
+
 @wp.kernel
 def trim_in_order(
     # in
@@ -200,18 +228,15 @@ def trim_in_order(
     total = wp.int32(0)
     for i in range(selected.count[0]):
         total += faces_removed_in[i]
+    end = LAST_KEY
+    if total > remaining:
+        end = cutoff_key(state, selected, faces_removed_in, remaining)
     legal = wp.int32(0)
     removed = wp.int32(0)
     for i in range(selected.count[0]):
         faces = faces_removed_in[i]
-        if faces > 0 and total > remaining:
-            key = log_key(state, selected.half_edge[i])
-            before = wp.int32(0)
-            for j in range(selected.count[0]):
-                if faces_removed_in[j] > 0 and log_key(state, selected.half_edge[j]) < key:
-                    before += faces_removed_in[j]
-            if before >= remaining:
-                faces = 0
+        if faces > 0 and log_key(state, selected.half_edge[i]) >= end:
+            faces = 0
         faces_removed_out[i] = faces
         removed += faces
         legal += wp.where(faces > 0, 1, 0)
