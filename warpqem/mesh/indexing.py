@@ -21,7 +21,7 @@ def taken(values: np.ndarray, index: np.ndarray) -> np.ndarray:
     """
     if index.size <= AT_ONCE:
         return values.take(index, axis=0)
-    numbers = index.ravel()
+    numbers = index if index.ndim == 1 else index.ravel()
     found = np.empty((len(numbers), *values.shape[1:]), dtype=values.dtype)
     for first in range(0, len(numbers), AT_ONCE):
         part = slice(first, first + AT_ONCE)
