@@ -52,7 +52,8 @@ class Clusters:
     def of(cls, cluster: np.ndarray, line_rank: np.ndarray, cluster_count: int, device: str) -> Clusters:
         """Count the vertices (V,) of each; hardly a vertex has a rank above 0."""
         size = counted(cluster, cluster_count)
-        ranked = np.flatnonzero((line_rank > 0) & (cluster >= 0))
+        ranked = np.flatnonzero(line_rank > 0)
+        ranked = ranked[cluster[ranked] >= 0]
         owner, rank = cluster[ranked], line_rank[ranked]
         highest_rank = np.zeros(cluster_count, dtype=np.int32)
         np.maximum.at(highest_rank, owner, rank)
