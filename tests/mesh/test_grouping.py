@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from warpqem.mesh.grouping import AT_ONCE, counted, different, order_by, ranks
+from warpqem.mesh.grouping import different, order_by, ranks
 
 
 @pytest.mark.parametrize("count", [1, 7, 2**16, 2**16 + 1, 2**20, 2**32 + 1, 2**50])
@@ -19,11 +19,3 @@ def test_different_numbers_and_their_ranks_are_those_of_unique(shape):
     unique, inverse = np.unique(number, return_inverse=True)
     np.testing.assert_array_equal(different(number, 400), unique)
     np.testing.assert_array_equal(ranks(number, 400), inverse.reshape(shape))
-
-
-@pytest.mark.parametrize("count", [0, 1, 100, AT_ONCE + 1])
-def test_numbers_are_counted_without_those_below_zero(count):
-    number = np.random.default_rng(3).integers(-1, 300, size=count).astype(np.int32)
-    found = counted(number, 400)
-    assert found.dtype == np.int32
-    np.testing.assert_array_equal(found, np.bincount(number[number >= 0], minlength=400))

@@ -7,10 +7,7 @@ import numpy.typing as npt
 
 from warpqem.mesh.indexing import put_at, taken
 
-__all__ = ["any_corner", "counted", "different", "order_by", "ranks"]
-
-# Numbers that are counted at once: NumPy widens them, and new memory for that takes longer than the rest.
-AT_ONCE = 65536
+__all__ = ["any_corner", "different", "order_by", "ranks"]
 
 # NumPy sorts numbers of so many bits by counting them.
 COUNTED_BITS = 16
@@ -21,14 +18,6 @@ def any_corner(at_corner: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
     found: npt.NDArray[np.bool_] = at_corner[:, 0] | at_corner[:, 1]
     found |= at_corner[:, 2]
     return found
-
-
-def counted(number: npt.NDArray[np.integer], count: int) -> npt.NDArray[np.int32]:
-    """(count,) int32, how often each number from 0 to below ``count`` occurs among some (n,) from -1 on."""
-    found = np.zeros(count + 1, dtype=np.intp)
-    for first in range(0, len(number), AT_ONCE):
-        found += np.bincount(number[first : first + AT_ONCE] + 1, minlength=count + 1)
-    return found[1:].astype(np.int32)
 
 
 def different(number: npt.NDArray[np.integer], count: int) -> npt.NDArray[np.int64]:

@@ -12,8 +12,6 @@ from warpqem.decimation.decimate import DecimatedMesh
 from warpqem.kernels import anchor as kernels
 from warpqem.kernels import cluster_rows as row_kernels
 from warpqem.kernels.lanes import width_of
-from warpqem.mesh.grouping import counted
-from warpqem.mesh.indexing import taken
 from warpqem.runtime import new_arrays
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import launch
@@ -51,9 +49,9 @@ class Clusters:
     @classmethod
     def of(cls, cluster: np.ndarray, line_rank: np.ndarray, cluster_count: int, device: str) -> Clusters:
         """Count the vertices (V,) of each; hardly a vertex has a rank above 0."""
-        size = counted(cluster, cluster_count)
-        ranked = np.flatnonzero(line_rank > 0)
-        ranked = ranked[cluster[ranked] >= 0]
+        member = np.flatnonzero(cluster >= 0)
+        size = np.bincount(cluster[member], minlength=cluster_count).astype(np.int32)
+        ranked = np.flatnonzero((line_rank > 0) & (cluster >= 0))
         owner, rank = cluster[ranked], line_rank[ranked]
         highest_rank = np.zeros(cluster_count, dtype=np.int32)
         np.maximum.at(highest_rank, owner, rank)
@@ -166,7 +164,7 @@ def _find_by_sort(holder: wp.array, distance: wp.array, first: wp.array, start: 
 def _cluster_distances(ordered: DecimatedMesh, device: str) -> wp.array:
     """(V,) float32, squared distance over the key frames of each input vertex from where its cluster's vertex went."""
     kernel = kernels.measure_cluster_distances[width_of(ordered.position)]
-    row = new_arrays.uploaded(taken(ordered.row, ordered.root), dtype=wp.int32, device=device)
+    row = new_arrays.uploaded(ordered.row.take(ordered.root), dtype=wp.int32, device=device)
     distance = new_arrays.empty(len(row), dtype=wp.float32, device=device)
     inputs = [rows_of(row), rows_of(ordered.key_position), ordered.position]
     launch_in_parts(kernel, len(row), inputs, [rows_of(distance)], device=device)

@@ -54,7 +54,7 @@ class Placer(ClusterPlacer):
         index = np.full(len(ordered.root), -1, dtype=np.int32)
         index[kept] = np.arange(len(kept), dtype=np.int32)
         self.vertex_map = taken(index, ordered.root)
-        self.faces = taken(index, ordered.faces)
+        self.faces = index.take(ordered.faces)
         super().__init__(faces, ordered, kept, self.vertex_map, quadric_scale, pinned, settings, device, sums)
         self._out_corner_vertex = new_arrays.uploaded(self.faces.ravel(), dtype=wp.int32, device=device)
 
