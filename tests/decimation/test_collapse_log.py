@@ -71,8 +71,44 @@ def test_a_log_that_is_read_before_its_length_is_known_is_the_same(count, spare,
     rows = wp.array(log_rows(7, count), device=device)
     there = wp.array([count], dtype=wp.int32, device=device)
     log, expected = log_of(ordered_log(rows, there, count + spare).numpy(), count), read_log(rows, count)
+    assert_same_log(log, expected)
+
+
+@pytest.mark.parametrize("count", [1, 16, 250])
+def test_recent_errors_of_some_collapses_are_those_of_all(count, device):
+    log = read_log(wp.array(log_rows(7, count), device=device), count)
+    index = np.arange(0, count, 3)
+    found, kept = log.recent_errors_at(index), np.arange(count) % 2 == 0
+    np.testing.assert_array_equal(found, log.recent_error[index])
+    some = log.chosen_later(kept)
+    places = np.arange(0, len(some), 2)
+    np.testing.assert_array_equal(some.recent_errors_at(places), log.recent_error[kept][places])
+    np.testing.assert_array_equal(log.made().recent_errors_at(index), found)
+
+
+@pytest.mark.parametrize("count", [0, 1, 250])
+def test_roots_of_a_log_as_it_was_read_are_those_of_its_values(count, device):
+    log = read_log(wp.array(log_rows(7, count), device=device), count)
+    np.testing.assert_array_equal(log.roots(VERTEX_COUNT), log.made().roots(VERTEX_COUNT))
+
+
+def assert_same_log(log, expected):
     for field in fields(CollapseRecord):
         np.testing.assert_array_equal(getattr(log, field.name), getattr(expected, field.name))
+
+
+def record_of(kept, recent) -> CollapseRecord:
+    none = np.zeros(len(kept), dtype=np.int32)
+    return CollapseRecord(np.array(kept, dtype=np.int32), none, none, none, none, none, none, np.float32(recent))
+
+
+def test_a_vertex_has_the_recent_error_of_the_last_collapse_into_it():
+    log = record_of([3, 1, 3], [0.1, 0.2, 0.4])
+    np.testing.assert_array_equal(log.last_errors(np.array([1, 2, 3])), np.float32([0.2, 0.0, 0.4]))
+
+
+def test_a_log_without_collapses_has_no_recent_errors():
+    assert not record_of([], []).last_errors(np.arange(4)).any()
 
 
 def test_a_log_without_collapses_is_empty(device):

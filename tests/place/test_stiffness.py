@@ -6,7 +6,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from warpqem.decimation.collapse_log import CollapseRecord
 from warpqem.kernels.placement import STEPS
 from warpqem.place.stiffness import (
     COST_POWER,
@@ -17,17 +16,11 @@ from warpqem.place.stiffness import (
     WANDER_TRADE,
     choose_softness,
     cost_of_coherence,
-    recent_errors,
     softer_choices,
 )
 
 CLUSTERS = 5
 POSITIVE = st.floats(0.0, 1.0, width=32)
-
-
-def log_of(kept, recent) -> CollapseRecord:
-    none = np.zeros(len(kept), dtype=np.int32)
-    return CollapseRecord(np.array(kept, dtype=np.int32), none, none, none, none, none, none, np.float32(recent))
 
 
 def test_choices_are_halves_and_at_last_the_least():
@@ -37,15 +30,6 @@ def test_choices_are_halves_and_at_last_the_least():
     np.testing.assert_allclose(choices[0, :halvings], 0.8 * 0.5 ** np.arange(halvings))
     np.testing.assert_allclose(choices[1, :3], [0.004, 0.002, MIN_STIFFNESS])
     np.testing.assert_array_equal(choices[:, -1], np.float32(MIN_STIFFNESS))
-
-
-def test_a_cluster_has_the_recent_error_of_its_last_collapse():
-    log = log_of([3, 1, 3], [0.1, 0.2, 0.4])
-    np.testing.assert_array_equal(recent_errors(log, np.array([1, 2, 3])), np.float32([0.2, 0.0, 0.4]))
-
-
-def test_a_mesh_without_collapses_has_no_recent_errors():
-    assert not recent_errors(log_of([], []), np.arange(4)).any()
 
 
 def descending(values):

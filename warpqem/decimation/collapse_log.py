@@ -11,6 +11,7 @@ import warp as wp
 from warpqem.arguments.array_record import ArrayRecord
 from warpqem.kernels import collapse_order as kernels
 from warpqem.kernels.mesh_state import CollapseLog
+from warpqem.mesh.indexing import put_at
 from warpqem.runtime import new_arrays
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import launch
@@ -69,6 +70,29 @@ class CollapseRecord(ArrayRecord):
         """The same with all of its values."""
         return self
 
+    def _round_ends(self) -> np.ndarray:
+        """(R,) int, how many collapses there are to the end of each round. Rounds come in order, and are few."""
+        rounds = np.arange(self.round_index[-1] + 1) if len(self) else np.empty(0)
+        return np.searchsorted(self.round_index, rounds, side="right")
+
+    def recent_errors_at(self, index: np.ndarray) -> np.ndarray:
+        """``recent_error`` of some collapses (n,), float32."""
+        return self.recent_error.take(index)
+
+    def last_errors(self, vertex: np.ndarray) -> np.ndarray:
+        """(n,) float32, in diagonals: what the whole mesh had come to at the last collapse into each vertex (n,) int32.
+
+        0 of vertices that nothing collapsed into.
+        """
+        count = 1 + max(int(vertex.max(initial=0)), int(self.kept.max(initial=0)))
+        last = np.full(count, -1, dtype=np.int32)
+        # Of several collapses into a vertex the last one counts: values are assigned in order.
+        put_at(last, self.kept, np.arange(len(self), dtype=np.int32))
+        index = last.take(vertex)
+        found, merged = np.zeros(len(index), dtype=np.float32), np.flatnonzero(index >= 0)
+        found[merged] = self.recent_errors_at(index.take(merged))
+        return found
+
     def chosen_later(self, kept: np.ndarray) -> CollapseRecord:
         """The same, of which each of the values is taken when it is first asked for."""
         return _Chosen(self, kept)
@@ -78,10 +102,52 @@ class CollapseRecord(ArrayRecord):
         root = np.arange(vertex_count, dtype=np.int32)
         # From the last round to the first: what a vertex went into has its own root by then, as collapses of one round
         # are independent.
-        ends = [0, *(np.flatnonzero(np.diff(self.round_index)) + 1).tolist(), len(self)]
-        for first, last in reversed(list(itertools.pairwise(ends))):
-            root[self.removed[first:last]] = root.take(self.kept[first:last])
+        for first, last in reversed(list(itertools.pairwise([0, *self._round_ends().tolist()]))):
+            # NumPy takes longer to index by 32 bits than to widen them, and both than the rest.
+            removed, kept = self.removed[first:last].astype(np.intp), self.kept[first:last].astype(np.intp)
+            root[removed] = root.take(kept)
         return root
+
+
+class _Read(CollapseRecord):
+    """A record as it was read, of which other values are found when they are first asked for: a device waits meanwhile.
+
+    Args:
+        faces_and_round: (C,) int32, both in one number.
+        values: those that are there, by name.
+    """
+
+    def __init__(self, faces_and_round: np.ndarray, **values: np.ndarray) -> None:
+        self.__dict__.update(values, _faces_and_round=faces_and_round)
+
+    def made(self) -> CollapseRecord:
+        """The same with all of its values."""
+        return CollapseRecord(**{name: getattr(self, name) for name in _FIELDS})
+
+    def recent_errors_at(self, index: np.ndarray) -> np.ndarray:
+        """See :meth:`CollapseRecord.recent_errors_at`."""
+        return _recent_errors(self._total, index + 1)
+
+    def _round_ends(self) -> np.ndarray:
+        """See :meth:`CollapseRecord._round_ends`."""
+        numbers, bits = self._faces_and_round, int(kernels.FACE_BITS)
+        rounds = np.arange(1, (numbers[-1] >> bits) + 2) if len(self) else np.empty(0, dtype=np.int32)
+        return np.searchsorted(numbers, (rounds << bits).astype(np.int32))
+
+    def __getattr__(self, name: str) -> np.ndarray:
+        values = self.__dict__
+        if name == "_total":
+            found = _squares_before(values["error"])
+        elif name == "recent_error":
+            found = _all_recent_errors(self._total)
+        elif name == "faces_removed":
+            found = self._faces_and_round & ((1 << int(kernels.FACE_BITS)) - 1)
+        elif name == "round_index":
+            found = self._faces_and_round >> int(kernels.FACE_BITS)
+        else:
+            raise AttributeError(name)
+        values[name] = found
+        return found
 
 
 class _Chosen(CollapseRecord):
@@ -94,13 +160,25 @@ class _Chosen(CollapseRecord):
         """The same with all of its values."""
         return CollapseRecord(**{name: getattr(self, name) for name in _FIELDS})
 
+    def recent_errors_at(self, index: np.ndarray) -> np.ndarray:
+        """See :meth:`CollapseRecord.recent_errors_at`."""
+        whole: CollapseRecord = self.__dict__["_whole"]
+        return whole.recent_errors_at(self._places.take(index))
+
+    @property
+    def _places(self) -> np.ndarray:
+        """(n,) int, which of the collapses of the whole record they are."""
+        values = self.__dict__
+        if values["_index"].dtype == bool:
+            values["_index"] = np.flatnonzero(values["_index"])
+        places: np.ndarray = values["_index"]
+        return places
+
     def __getattr__(self, name: str) -> np.ndarray:
         if name not in _FIELDS:
             raise AttributeError(name)
         values = self.__dict__
-        if values["_index"].dtype == bool:
-            values["_index"] = np.flatnonzero(values["_index"])
-        found: np.ndarray = getattr(values["_whole"], name).take(values["_index"], axis=0)
+        found: np.ndarray = getattr(values["_whole"], name).take(self._places, axis=0)
         values[name] = found
         return found
 
@@ -161,16 +239,13 @@ def log_of(ordered: np.ndarray, count: int) -> CollapseRecord:
     """The log of ``count`` collapses in (7 room,) int32, as :func:`ordered_log` has them."""
     values = ordered.reshape(ROWS, -1)
     kept, removed, faces_and_round, cost, error = (values[row, :count] for row in (0, 1, 4, 5, 6))
-    bits = int(kernels.FACE_BITS)
-    return CollapseRecord(
+    return _Read(
+        faces_and_round,
         kept=kept,
         removed=removed,
         opposites=values[2:4].reshape(-1, 2)[:count],
-        faces_removed=faces_and_round & ((1 << bits) - 1),
         cost=cost.view(np.float32),
         error=error.view(np.float32),
-        round_index=faces_and_round >> bits,
-        recent_error=_recent_error(error.view(np.float32)),
     )
 
 
@@ -204,21 +279,34 @@ def _slots_by_sorts(rows: wp.array, count: wp.array, capacity: int) -> wp.array:
     return slots[:capacity]
 
 
-def _recent_error(error: np.ndarray) -> np.ndarray:
-    """(C,) float32, root mean square over the last ``RECENT`` of the collapses up to each, at least itself."""
-    total = np.zeros(len(error) + 1)
+def _squares_before(error: np.ndarray) -> np.ndarray:
+    """(C + 1,) float64, the sum of the squared errors (C,) before each collapse, and of all."""
+    total = np.empty(len(error) + 1)
+    total[0] = 0.0
     np.square(error, dtype=np.float64, out=total[1:])
     np.cumsum(total, out=total)
-    recent = np.empty(len(error), dtype=np.float32)
+    return total
+
+
+def _recent_errors(total: np.ndarray, count: np.ndarray) -> np.ndarray:
+    """(n,) float32, root mean square over the last ``RECENT`` of the first ``count`` (n,) collapses, at least the last.
+
+    ``total`` is what :func:`_squares_before` gives.
+    """
+    taken = np.maximum((RECENT * count).astype(np.int64), 1)
+    mean = total.take(count) - total.take(count - taken)
+    np.maximum(mean, 0.0, out=mean)
+    mean /= taken
+    return np.sqrt(mean, out=mean).astype(np.float32)
+
+
+def _all_recent_errors(total: np.ndarray) -> np.ndarray:
+    """(C,) float32, the same up to each collapse."""
+    recent = np.empty(len(total) - 1, dtype=np.float32)
     # Some at a time: new memory for all at once takes longer than the rest.
-    for first in range(0, len(error), AT_ONCE):
-        last = min(first + AT_ONCE, len(error))
-        count = np.arange(first + 1, last + 1)
-        taken = np.maximum((RECENT * count).astype(np.int64), 1)
-        mean = total[first + 1 : last + 1] - total.take(count - taken)
-        np.maximum(mean, 0.0, out=mean)
-        mean /= taken
-        recent[first:last] = np.sqrt(mean, out=mean)
+    for first in range(0, len(recent), AT_ONCE):
+        last = min(first + AT_ONCE, len(recent))
+        recent[first:last] = _recent_errors(total, np.arange(first + 1, last + 1))
     return recent
 
 

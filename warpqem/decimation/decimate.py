@@ -19,6 +19,7 @@ from warpqem.decimation.collapse_nodes import NodeRecorder
 from warpqem.decimation.component_forest import ComponentForest
 from warpqem.decimation.constrained_edges import ConstrainedEdges, EdgeMarks
 from warpqem.decimation.deformation import build_deformation
+from warpqem.decimation.faces_left import roots_of_faces
 from warpqem.decimation.initial_quadrics import constraint_weights, given_quadrics, initial_quadrics
 from warpqem.decimation.native_loop import SmallOrderer
 from warpqem.decimation.order_readback import OrderReadback
@@ -162,13 +163,12 @@ def order_collapses(
     del state, adjacency, steps, kinds, orderer
     if arrangement is not None and len(drops):
         drops = drops.for_vertices(arrangement.host_vertex)
-    log, root, faces, face_map = left.read(count, face_count, drops, brought)
-    row = np.arange(vertex_count, dtype=np.int32)
-    if arrangement is not None:
-        row = arrangement.host_place
+    log, root, face_map = left.read(count, face_count, drops, brought)
+    row = np.arange(vertex_count, dtype=np.int32) if arrangement is None else arrangement.host_place
+    if arrangement is not None and len(edges.half_edge):
         edges = edges.renumbered(arrangement.restore_half_edges(edges.half_edge), arrangement.host_vertex)
     return DecimatedMesh(
-        faces=faces,
+        faces=roots_of_faces(mesh.faces, face_map, root),
         face_map=face_map,
         root=root,
         key_position=mesh.key_position,
@@ -178,7 +178,7 @@ def order_collapses(
         quadric=frames.quadric,
         constrained=edges.marks(mesh.faces.size),
         line_rank=_line_rank(mesh.vertex_flags, edges),
-        non_manifold=non_manifold[row],
+        non_manifold=non_manifold[row] if non_manifold.any() else non_manifold,
         face_order=None if arrangement is None else arrangement.host_face,
         stopped=stopped,
         log=log,

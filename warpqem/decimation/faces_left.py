@@ -8,10 +8,11 @@ import warp as wp
 from warpqem.decimation.collapse_log import CollapseRecord
 from warpqem.decimation.pruning import DropRecord
 from warpqem.kernels import faces_left as kernels
+from warpqem.mesh.indexing import AT_ONCE
 from warpqem.runtime import new_arrays
 from warpqem.runtime.launches import launch
 
-__all__ = ["MarkedFaces", "faces_left"]
+__all__ = ["MarkedFaces", "faces_left", "numbers_left", "roots_of_faces"]
 
 
 def faces_left(
@@ -31,12 +32,28 @@ def faces_left(
     Returns:
         ``faces`` (N', 3) int32 over the kept vertices, ``face_map`` (N',) int32 ascending, the input face of each.
     """
+    face_map = numbers_left(corner_vertex, log, root, drops)
+    return roots_of_faces(faces, face_map, root), face_map
+
+
+def numbers_left(corner_vertex: wp.array, log: CollapseRecord, root: np.ndarray, drops: DropRecord) -> np.ndarray:
+    """The ``face_map`` of :func:`faces_left` alone."""
     # As many as the collapses say, so that the host waits once; the device knows the number.
-    room = max(0, len(faces) - int(log.faces_removed.sum()) - int(drops.face_count.sum()))
+    face_count = len(corner_vertex) // 3
+    room = max(0, face_count - int(log.faces_removed.sum()) - int(drops.face_count.sum()))
     roots = new_arrays.uploaded(root, dtype=wp.int32, device=corner_vertex.device)
     marked = MarkedFaces(corner_vertex, roots, drops)
-    face_map = marked.listed(np.array(marked.rows(room).numpy()))
-    return root.take(faces.take(face_map, axis=0)), face_map
+    return marked.listed(np.array(marked.rows(room).numpy()))
+
+
+def roots_of_faces(faces: np.ndarray, face_map: np.ndarray, root: np.ndarray) -> np.ndarray:
+    """(n, 3) int32, what the corners of some faces (n,) int32 collapsed into; see :func:`faces_left`."""
+    found = np.empty((len(face_map), 3), dtype=np.int32)
+    # Some at a time: new memory for the corners of all takes longer than the rest.
+    for first in range(0, len(face_map), AT_ONCE):
+        part = slice(first, first + AT_ONCE)
+        found[part] = root.take(faces.take(face_map[part], axis=0))
+    return found
 
 
 class MarkedFaces:

@@ -9,7 +9,7 @@ import warp as wp
 
 from warpqem.decimation.arrangement import Arrangement
 from warpqem.decimation.collapse_log import CollapseRecord, log_of, ordered_log, read_log
-from warpqem.decimation.faces_left import MarkedFaces, faces_left
+from warpqem.decimation.faces_left import MarkedFaces, numbers_left
 from warpqem.decimation.pass_steps import PassSteps
 from warpqem.decimation.pruning import DropRecord
 from warpqem.kernels import collapse_order as kernels
@@ -38,7 +38,7 @@ class OrderReadback:
         self, steps: PassSteps, faces: np.ndarray, corner_vertex: wp.array, arrangement: Arrangement | None
     ) -> None:
         self._count, self._rows = steps.log.count, steps.log_rows
-        self._faces, self._corner_vertex = faces, corner_vertex
+        self._face_count, self._corner_vertex = len(faces), corner_vertex
         self._vertex = None if arrangement is None else arrangement.vertex
         self._vertex_count = steps.log_rows.shape[1]
         self._ahead: MarkedFaces | None = None
@@ -50,7 +50,7 @@ class OrderReadback:
         There is room for what collapses leave that reach their target: those inside a surface take two faces each,
         those of the ``edge_count`` edges of borders one.
         """
-        excess = max(0, len(self._faces) - target_faces)
+        excess = max(0, self._face_count - target_faces)
         self._room = min(self._vertex_count, (excess + edge_count) // 2 + SPARE_ROOM)
         log = ordered_log(self._rows, self._count, self._room, self._vertex)
         root = self._roots(log, self._room)
@@ -59,8 +59,8 @@ class OrderReadback:
 
     def read(
         self, count: int, face_count: int, drops: DropRecord, brought: Sequence[np.ndarray] = ()
-    ) -> tuple[CollapseRecord, np.ndarray, np.ndarray, np.ndarray]:
-        """The log, (V,) int32 the vertex that each one collapsed into, and what :func:`faces_left` gives.
+    ) -> tuple[CollapseRecord, np.ndarray, np.ndarray]:
+        """The log, (V,) int32 the vertex that each one collapsed into, and (N',) int32 the faces that are left.
 
         All is in the input's numbers. The host waits once.
 
@@ -79,10 +79,9 @@ class OrderReadback:
         else:
             log_here = read_log(self._rows, count, self._vertex)
             root = log_here.roots(self._vertex_count)
-            return log_here, root, *faces_left(self._faces, self._corner_vertex, log_here, root, drops)
+            return log_here, root, numbers_left(self._corner_vertex, log_here, root, drops)
         log_here = log_of(ordered, count)
-        root, face_map = log_here.roots(self._vertex_count), marked.listed(rows)
-        return log_here, root, root.take(self._faces.take(face_map, axis=0)), face_map
+        return log_here, log_here.roots(self._vertex_count), marked.listed(rows)
 
     def _roots(self, log: wp.array, room: int) -> wp.array:
         """(V,) int32, the vertex that each one collapsed into by a log on the device with room for so many."""

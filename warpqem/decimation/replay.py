@@ -48,7 +48,7 @@ class OrderedLevels:
     def __init__(self, input_faces: np.ndarray, ordered: DecimatedMesh, recorder: NodeRecorder) -> None:
         self._ordered, self._passes, self._input_faces = ordered, recorder.passes, input_faces
         self._corner_vertex = new_arrays.uploaded(input_faces.ravel(), dtype=wp.int32, device=ordered.position.device)
-        self.log = ordered.log
+        self.log = ordered.log.made()
         self._position, self._quadric = wp.clone(ordered.position), wp.clone(ordered.quadric)
         self._present = MemorylessQuadrics(input_faces, ordered) if recorder.present else None
         self._steps = OrderSteps(self.log, ordered.drops, len(input_faces))

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from warpqem.mesh.indexing import put_at, taken
+
 __all__ = ["any_corner", "different", "order_by", "ranks"]
 
 # NumPy sorts numbers of so many bits by counting them.
@@ -25,13 +27,14 @@ def different(number: npt.NDArray[np.integer], count: int) -> npt.NDArray[np.int
 
 def ranks(number: npt.NDArray[np.integer], count: int) -> npt.NDArray[np.int32]:
     """The place of each of numbers (...) from 0 to below ``count`` among the different ones: the inverse of these."""
-    found: npt.NDArray[np.int32] = (np.cumsum(_occur(number, count), dtype=np.int32) - 1).take(number)
-    return found
+    before = np.cumsum(_occur(number, count), dtype=np.int32)
+    before -= 1
+    return taken(before, number)
 
 
 def _occur(number: npt.NDArray[np.integer], count: int) -> npt.NDArray[np.bool_]:
     occurs = np.zeros(count, dtype=bool)
-    occurs[number] = True
+    put_at(occurs, number.ravel(), True)
     return occurs
 
 

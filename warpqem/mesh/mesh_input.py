@@ -20,15 +20,15 @@ from warpqem.arguments.array_input import (
     real_array,
 )
 from warpqem.errors import DegenerateMeshError, FaceIndexError, MeshShapeError, OptionError
-from warpqem.frames.blocks import frame_blocks
+from warpqem.frames.blocks import frame_blocks, pack_frames
 from warpqem.frames.checked_frames import BrokenPoints, check_source
-from warpqem.frames.device_frames import HeldFrames, device_blocks
+from warpqem.frames.device_frames import HeldFrames, device_blocks, to_device
 from warpqem.frames.device_source import DeviceFrames
 from warpqem.frames.stream import ArrayFrames, FrameSource, counted_frames
 from warpqem.mesh.first_reading import FirstReading, about_origin
 from warpqem.mesh.rounding import rounding_of
 from warpqem.mesh.used_vertices import TopologyLook, used_vertices
-from warpqem.runtime.device import array_device
+from warpqem.runtime.device import array_device, device_traits
 
 if TYPE_CHECKING:
     from warpqem.repair.mended_mesh import MeshRepair
@@ -114,6 +114,23 @@ class AnimatedMesh(MeshInput):
         for index, frame in enumerate(frames.tolist()):
             chosen[index] = self.points(slice(frame, frame + 1))[0]
         return chosen
+
+    def unit_blocks(self, frames: np.ndarray, device: str) -> wp.array:
+        """Any frames (K,), ascending, in diagonals about the centre: (V, B) blocks of points on the device."""
+        rows = None
+        if self.held is not None:
+            points, rows = self.held.points, frames
+        elif isinstance(self.source, DeviceFrames):
+            points = self.source.chosen(frames, self.origin)
+        elif device_traits(device).own_memory:
+            # One after the other: the host has no use for an array of all.
+            there = HeldFrames.empty(len(frames), self.vertex_count, device)
+            for index, frame in enumerate(frames.tolist()):
+                there.put(slice(index, index + 1), self.points(slice(frame, frame + 1)))
+            points = there.points
+        else:
+            points = to_device(self.chosen_points(frames), device)
+        return pack_frames(points, device, frames=rows, centre=self.centre, scale=1 / self.diagonal)
 
     def device_blocks(self, blocks: Sequence[slice], device: str) -> Iterator[tuple[slice, wp.array]]:
         """Every block of frames, about ``origin``, as points (n, V) on the device."""

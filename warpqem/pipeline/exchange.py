@@ -136,7 +136,7 @@ class _Search:
         self._steps = OrderSteps(log, drops, len(work.mesh.faces))
         self._step = self._first_step = self._steps.to(target_faces)
         # Where pruning alone led here there are no collapses.
-        limit = SPOT * float(log.recent_error[-1]) if len(log) else 0.0
+        limit = SPOT * float(log.recent_errors_at(np.array([len(log) - 1]))[0]) if len(log) else 0.0
         self._distances = LevelDistances(self._work, self._frames, around, limit)
 
     def run(self, progress: Progress | None) -> DecimatedMesh:

@@ -62,7 +62,8 @@ def with_errors(
 ) -> SimplifiedMesh:
     """What a function gives, or its error has, with the way to measure it, and arrays on the device; None for none."""
     try:
-        return on_result_device(replace(simplify(), measuring=measuring), device)
+        result = simplify()
+        return on_result_device(replace(result, log=result.log.made(), measuring=measuring), device)
     except UnreachableTargetError as error:
         if error.result is not None:
             error.result = on_result_device(replace(error.result, measuring=measuring), device)

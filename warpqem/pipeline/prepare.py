@@ -9,7 +9,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import warp as wp
 
 from warpqem.arguments.number_input import shown
 from warpqem.arguments.progress import Progress
@@ -22,7 +21,7 @@ from warpqem.decimation.decimate import DecimatedMesh, DecimationInput, OrderSet
 from warpqem.decimation.late_parts import without_late_parts
 from warpqem.decimation.quadric_sums import QuadricSums
 from warpqem.errors import OptionError
-from warpqem.frames.blocks import frame_blocks, pack_frames
+from warpqem.frames.blocks import frame_blocks
 from warpqem.frames.device_source import DeviceFrames
 from warpqem.frames.stream import held_bytes, read_ahead
 from warpqem.kernels.topology import CORNER, LOCKED, SEAM
@@ -353,7 +352,7 @@ def _order_input(
     flags = flags | np.where(seam.on_seam, int(SEAM), 0) | np.where(seam.corner, int(CORNER), 0)
     return DecimationInput(
         faces=mesh.faces,
-        key_position=_packed_keys(mesh, keys, device),
+        key_position=mesh.unit_blocks(keys, device),
         key_count=len(keys),
         vertex_flags=flags.astype(np.int32),
         quadric_scale=scale,
@@ -364,17 +363,6 @@ def _order_input(
         matrices=None if quadrics is None else quadrics(mesh, scale),
         sums=sums,
     )
-
-
-def _packed_keys(mesh: AnimatedMesh, keys: np.ndarray, device: str) -> wp.array:
-    """(V, B) blocks of points: some frames (K,), in diagonals."""
-    scale = 1 / mesh.diagonal
-    if mesh.held is None:
-        points: np.ndarray | wp.array = mesh.chosen_points(keys)
-        if isinstance(mesh.source, DeviceFrames):
-            points = mesh.source.chosen(keys, mesh.origin)
-        return pack_frames(points, device, centre=mesh.centre, scale=scale)
-    return pack_frames(mesh.held.points, device, frames=keys, centre=mesh.centre, scale=scale)
 
 
 def _trajectories(mesh: AnimatedMesh) -> np.ndarray:

@@ -272,12 +272,12 @@ def with_frames(
         on_disk = work.plan.scratch_bytes > 0
         # Errors are single precision: rounding gives the very one that was made a percentage.
         error = float(np.float32(result.error / 100.0))
-        recent = result.log.recent_error
+        last = np.arange(len(result.log))[-1:]
         finished = place_refitted(
             placing,
             key_frames=work.key_frames,
             error=error,
-            recent_error=float(recent[-1]) if len(recent) else 0.0,
+            recent_error=float(result.log.recent_errors_at(last).sum()),
             on_disk=on_disk,
             settling=settling,
             roughly=roughly,

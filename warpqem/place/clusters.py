@@ -21,7 +21,6 @@ from warpqem.place.softness import chosen_stiffness
 from warpqem.place.stiffness import (
     MIN_REGULARISATION,
     MIN_STIFFNESS,
-    recent_errors,
     softer_choices,
     stiffness_by_size,
 )
@@ -152,7 +151,7 @@ class ClusterPlacer:
         if not settings.endpoint and (choices[:, 0] > choices[:, -1]).any():
             there = new_arrays.uploaded(choices, dtype=wp.float32, device=device, copy=False)
             sums = self._blocks.measure_stiffness(ordered.key_position, ordered.key_count, there)
-            recent = recent_errors(ordered.log, kept)
+            recent = ordered.log.last_errors(kept)
             chosen = chosen_stiffness(sums, there, recent, settings.coherence_cost, settings.softening)
             self._softest = chosen.softest
             self._blocks.set_stiffness(chosen.stiffness)

@@ -10,6 +10,7 @@ from warpqem.decimation.quadric_sums import QuadricSums
 from warpqem.frames.blocks import block_width
 from warpqem.kernels import placement as kernels
 from warpqem.kernels.lanes import width_of
+from warpqem.mesh.indexing import put_at, taken
 from warpqem.mesh.mesh_input import AnimatedMesh
 from warpqem.place.block_placer import PlacedBlocks, PlacedFrames
 from warpqem.place.clusters import ClusterPlacer, PlaceSettings
@@ -48,11 +49,11 @@ class Placer(ClusterPlacer):
     ) -> None:
         # Output vertices keep the order of the input vertices they go by.
         is_kept = np.zeros(len(ordered.root), dtype=bool)
-        is_kept[ordered.faces] = True
+        put_at(is_kept, ordered.faces.ravel(), True)
         kept = np.flatnonzero(is_kept)
         index = np.full(len(ordered.root), -1, dtype=np.int32)
         index[kept] = np.arange(len(kept), dtype=np.int32)
-        self.vertex_map = index.take(ordered.root)
+        self.vertex_map = taken(index, ordered.root)
         self.faces = index.take(ordered.faces)
         super().__init__(faces, ordered, kept, self.vertex_map, quadric_scale, pinned, settings, device, sums)
         self._out_corner_vertex = new_arrays.uploaded(self.faces.ravel(), dtype=wp.int32, device=device)

@@ -11,7 +11,6 @@ import math
 
 import numpy as np
 
-from warpqem.decimation.collapse_log import CollapseRecord
 from warpqem.kernels.placement import STEPS
 
 __all__ = [
@@ -19,7 +18,6 @@ __all__ = [
     "MIN_STIFFNESS",
     "choose_softness",
     "cost_of_coherence",
-    "recent_errors",
     "softer_choices",
     "stiffness_by_size",
 ]
@@ -88,20 +86,6 @@ def softer_choices(stiffness: np.ndarray) -> np.ndarray:
     choices = np.maximum(choices, np.minimum(stiffness, np.float32(MIN_STIFFNESS))[:, None])
     choices[:, -1] = np.minimum(stiffness, np.float32(MIN_STIFFNESS))
     return choices.astype(np.float32)
-
-
-def recent_errors(log: CollapseRecord, kept: np.ndarray) -> np.ndarray:
-    """(C,) float32, in diagonals: what the whole mesh had come to at the last collapse of each cluster.
-
-    Args:
-        log: all collapses that led to the clusters.
-        kept: (C,) int32, the input vertex that each cluster goes by.
-    """
-    error = np.zeros(1 + max(int(kept.max(initial=0)), int(log.kept.max(initial=0))), dtype=np.float32)
-    # Of several collapses into a vertex the last one counts: values are assigned in order.
-    error[log.kept] = log.recent_error
-    recent: np.ndarray = error[kept]
-    return recent
 
 
 def choose_softness(

@@ -14,6 +14,7 @@ import warp as wp
 from warpqem.kernels import surface_limits as kernels
 from warpqem.mesh.components import lowest_members
 from warpqem.mesh.grouping import ranks
+from warpqem.mesh.indexing import put_at, taken
 from warpqem.refit.matching import Matching
 from warpqem.refit.own_parts import OwnParts
 from warpqem.runtime import new_arrays
@@ -61,7 +62,7 @@ class ComponentLimits:
         vertex_count = placed.shape[1]
         lowest = lowest_members(vertex_count, np.concatenate([faces[:, :2], faces[:, 1:]]))
         # Numbers in the order of their lowest vertices.
-        self._component = ranks(lowest[faces[:, 0]], vertex_count)
+        self._component = ranks(taken(lowest, faces[:, 0]), vertex_count)
         self.sampled = sampled = kernels.Limits()
         count = int(self._component.max(initial=-1)) + 1
         sampled.frame_scale = frame_scale
@@ -70,8 +71,10 @@ class ComponentLimits:
             new_arrays.full(count, SMALLEST_DISTANCE**2, dtype=wp.float32, device=device) for _ in range(2)
         )
         self._of_vertex = np.zeros(vertex_count, dtype=np.int32)
-        self._of_vertex[faces] = self._component[:, None]
-        of_input = np.where(vertex_map >= 0, self._of_vertex[vertex_map], -1).astype(np.int32)
+        for corner in faces.T:
+            put_at(self._of_vertex, corner, self._component)
+        # The last place is of vertices without a face.
+        of_input = taken(np.append(self._of_vertex, np.int32(-1)), vertex_map)
         sampled.vertex_component = new_arrays.uploaded(of_input, dtype=wp.int32, device=device)
         sampled.far = new_arrays.zeros(vertex_count, dtype=wp.int32, device=device)
         self._own: OwnParts | None = None

@@ -152,7 +152,7 @@ class _Refit:
         self._equations = NormalEquations(self._corner_vertex, self._adjacency)
         turns = max(1, min(len(key_frames), mesh.frame_count // FRAMES_PER_TURN))
         # Of a pruned component nothing is near to the output.
-        is_left = placer.vertex_map[mesh.faces[:, 0]] >= 0
+        is_left = _is_left(placer.vertex_map, mesh.faces)
         faces, used = _left(mesh, is_left)
         seams = find_seams(placer.seam, mesh.faces, is_left, placer.vertex_map, self._faces, self._vertex_count)
         self._sizes = FitSizes.of(
@@ -370,6 +370,13 @@ class _Refit:
         """Mark vertices (C,) int32 that have a part in a face that turns over in some frame."""
         for block in self._all_frames.all():
             block.mark_new_flips(self._correction, self._corner_vertex, marks)
+
+
+def _is_left(vertex_map: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(N,) bool, the faces (N, 3) of which something is left by ``vertex_map`` (V,): most often all."""
+    if vertex_map.min(initial=0) >= 0:
+        return np.ones(len(faces), dtype=bool)
+    return vertex_map[faces[:, 0]] >= 0
 
 
 def _left(mesh: AnimatedMesh, is_left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -30,6 +30,7 @@ from warpqem.measure.surface_places import (
 )
 from warpqem.mesh.edges import edge_key
 from warpqem.mesh.grouping import different
+from warpqem.mesh.indexing import put_at
 from warpqem.runtime import new_arrays
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import launch
@@ -192,7 +193,7 @@ def _edges(faces: npt.NDArray[np.integer], vertex_count: int) -> npt.NDArray[np.
 def _rows(vertex: npt.NDArray[np.integer]) -> npt.NDArray[np.int32]:
     """Where each vertex is among some of them (n,), ascending; up to the last of these."""
     row = np.zeros(int(vertex.max(initial=-1)) + 1, dtype=np.int32)
-    row[vertex] = np.arange(len(vertex))
+    put_at(row, vertex, np.arange(len(vertex), dtype=np.int32))
     return row
 
 

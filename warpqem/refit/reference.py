@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from warpqem.frames.blocks import pack_frames, unpack_frames
-from warpqem.frames.device_frames import BoundsMeter, to_device
-from warpqem.frames.device_source import DeviceFrames
+from warpqem.frames.blocks import unpack_frames
+from warpqem.frames.device_frames import BoundsMeter
 from warpqem.kernels.frame_bounds import compare_frames
 from warpqem.mesh.mesh_input import AnimatedMesh
 from warpqem.refit.scales import SMALLEST_FRAME, frame_scale
@@ -41,20 +40,9 @@ class Reference:
                 new_arrays.uploaded(unit, dtype=wp.vec3, device=device),
                 new_arrays.uploaded(frame_scale(unit[:, mesh.used]), dtype=wp.float32, device=device),
             )
-        if mesh.held is not None:
-            given, rows = mesh.held.points, key_frames
-        else:
-            rows = np.arange(len(key_frames))
-            if isinstance(mesh.source, DeviceFrames):
-                given = mesh.source.chosen(key_frames, mesh.origin)
-            else:
-                given = to_device(mesh.chosen_points(key_frames), device)
-        blocks = pack_frames(
-            given, device, frames=rows, centre=mesh.centre, scale=float(np.float32(1.0 / mesh.diagonal))
-        )
-        points = wp.empty((len(rows), mesh.vertex_count), dtype=wp.vec3, device=device)
-        unpack_frames(blocks, points)
+        points = wp.empty((len(key_frames), mesh.vertex_count), dtype=wp.vec3, device=device)
+        unpack_frames(mesh.unit_blocks(key_frames, device), points)
         bounds = BoundsMeter(mesh.used, device).bounds_there(points)
-        scale = new_arrays.empty(len(rows), dtype=wp.float32, device=device)
+        scale = new_arrays.empty(len(key_frames), dtype=wp.float32, device=device)
         launch(compare_frames, 1, [bounds, SMALLEST_FRAME], [scale], device=device)
         return cls(points, scale)

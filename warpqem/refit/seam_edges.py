@@ -81,12 +81,13 @@ def find_borders(
         out_faces: (N', 3) int32.
         is_open: (C,) bool, output vertices at which such half-edges of the output may be.
     """
-    number = np.cumsum(is_left) - 1
-    face, corner = np.divmod(half_edge, 3)
-    there = is_left[face]
-    left = 3 * number[face[there]] + corner[there]
+    left = half_edge
+    if not is_left.all():
+        face, corner = np.divmod(half_edge, 3)
+        there = is_left[face]
+        left = 3 * (np.cumsum(is_left) - 1)[face[there]] + corner[there]
     at_corner = is_open[out_faces]
-    own = np.flatnonzero(at_corner & np.roll(at_corner, -1, axis=1))
+    own = np.flatnonzero(at_corner & at_corner[:, [1, 2, 0]])
     tail, head = half_edge_ends(out_faces, own).astype(np.int64).T
     count = len(is_open)
     alone = own[~np.isin(tail * count + head, head * count + tail)]

@@ -246,7 +246,7 @@ def faces_for(ordered: DecimatedMesh, mesh: MeshInput, target: int) -> int:
     # Whoever has ordered a mesh has loaded it; those who only look at a topology need not.
     import warp as wp
 
-    from warpqem.decimation.faces_left import faces_left
+    from warpqem.decimation.faces_left import numbers_left
 
     assert mesh.repair is not None
     log, drops = ordered.log, ordered.drops
@@ -258,7 +258,7 @@ def faces_for(ordered: DecimatedMesh, mesh: MeshInput, target: int) -> int:
         collapsed = int((event[:count] < len(log)).sum())
         collapses = log.head(collapsed)
         root, dropped = collapses.roots(len(ordered.root)), drops.head(count - collapsed)
-        return faces_left(mesh.faces, corner_vertex, collapses, root, dropped)[1]
+        return numbers_left(corner_vertex, collapses, root, dropped)
 
     low, high = 0, len(event)
     while low < high:

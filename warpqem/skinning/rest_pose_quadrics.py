@@ -100,6 +100,7 @@ def simplify_pulled_back(
     rest = _place(first, placer.vertex_map, work.order_input.matrices, work.pinned | ordered.non_manifold)
     result = replace(
         without_frames(work, placer, ordered),
+        log=ordered.log.made(),
         points=rest[None].astype(np.float32),
         flips=np.zeros(1, dtype=np.int32),
     )
