@@ -7,7 +7,7 @@ input vertices hold the vertex when it is placed; the place itself comes from th
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import warp as wp
@@ -25,10 +25,27 @@ from warpqem.runtime import new_arrays
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import launch
 
-__all__ = ["ClusterStates"]
+__all__ = ["ClusterLevel", "ClusterStates"]
 
 # In place of a collapse, the last one of a cluster.
 NO_STATE = -2
+
+
+@dataclass(frozen=True)
+class ClusterLevel:
+    """A level, and what its clusters are.
+
+    Attributes:
+        ordered: the level; the arrays of positions and quadrics are shared by all of them.
+        last: (V,) int32, the last collapse of each cluster, see :meth:`CollapseForest.last_collapses`.
+        is_kept: (V,) bool, its vertices.
+        root_there: (V,) int32, its roots on a device with memory of its own; else None.
+    """
+
+    ordered: DecimatedMesh
+    last: np.ndarray
+    is_kept: np.ndarray
+    root_there: wp.array | None
 
 
 class ClusterStates:
@@ -39,16 +56,12 @@ class ClusterStates:
         ordered: what that left.
         forest: its collapses.
         faces: finds the faces of levels.
-
-    Attributes:
-        root_there: (V,) int32, the roots of the level asked for last, on a device with memory of its own; else None.
     """
 
     def __init__(
         self, input_faces: np.ndarray, ordered: DecimatedMesh, forest: CollapseForest, faces: LevelFaces
     ) -> None:
         self._ordered, self._forest, self._faces = ordered, forest, faces
-        self.root_there: wp.array | None = None
         # Before what the host has to do: so the device has no wait for it.
         self._position, self._quadric = wp.clone(ordered.position), wp.clone(ordered.quadric)
         self._roots = LevelRoots(ordered)
@@ -62,24 +75,23 @@ class ClusterStates:
         # The last collapse of the cluster whose state each vertex shows.
         self._shown = self._left.copy()
 
-    def at(self, cut: Cut) -> DecimatedMesh:
-        """A level; the arrays of positions and quadrics are shared by all of them."""
+    def at(self, cut: Cut) -> ClusterLevel:
+        """A level."""
         ordered, drops = self._ordered, self._ordered.drops
         drops = drops.chosen(cut.dropped, cut.kept) if len(drops) else drops
         root = self._roots.at(cut.kept)
-        device = ordered.position.device
+        device, root_there = ordered.position.device, None
         if device_traits(str(device)).own_memory:
             # As soon as it is known: the host has more to do.
-            self.root_there = new_arrays.uploaded(root, dtype=wp.int32, device=device)
+            root_there = new_arrays.uploaded(root, dtype=wp.int32, device=device)
         faces, face_map = self._faces.at(root, drops)
         last = self._forest.last_collapses(cut)
-        is_kept = np.zeros(len(root), dtype=bool)
-        is_kept[faces.ravel()] = True
+        is_kept = self._faces.is_kept
         changed = np.flatnonzero(is_kept & (last != self._shown))
         self._shown[changed] = last[changed]
         self._restore(changed[last[changed] == self._left[changed]])
         self._make(changed[last[changed] != self._left[changed]], faces, face_map, root)
-        return replace(
+        level = replace(
             ordered,
             faces=faces,
             face_map=face_map,
@@ -90,6 +102,7 @@ class ClusterStates:
             log=ordered.log.chosen_later(cut.kept),
             drops=drops,
         )
+        return ClusterLevel(level, last, is_kept, root_there)
 
     def move(self, vertex: np.ndarray, position: wp.array, level: DecimatedMesh) -> None:
         """Put some kept vertices (n,) of a level elsewhere, (n, B) points, with the quadrics of the faces there."""
@@ -124,7 +137,7 @@ class ClusterStates:
             return
         place = np.full(len(root), -1, dtype=np.int32)
         place[vertex] = np.arange(len(vertex), dtype=np.int32)
-        cluster = place[root]
+        cluster = place.take(root)
         member = np.flatnonzero(cluster >= 0)
         # By cluster, then by vertex: as no two keys are equal, they need no stable sort, which takes longer.
         key = cluster[member].astype(np.int64) << 32 | member

@@ -28,13 +28,14 @@ class LevelFaces:
         at: Callable[[npt.NDArray[np.bool_]], npt.NDArray[np.integer]],
         ordered: DecimatedMesh,
     ) -> None:
-        self._faces, self._at = faces, at
-        self._root, self._dropped = ordered.root, _dropped(ordered.drops, len(ordered.root))
+        self._input, self._at = faces, at
+        self._root, self._dropped = ordered.root, _dropped(ordered.drops)
+        # Those that are left, over roots, and which of the input's they are.
+        self._faces, self._face_map = ordered.faces, ordered.face_map
         self._is_left = np.zeros(len(faces), dtype=bool)
-        self._is_left[ordered.face_map] = True
-        # Of the faces that are left.
-        self._corners = np.empty((len(faces), 3), dtype=np.int32)
-        self._corners[ordered.face_map] = ordered.faces
+        self._is_left[self._face_map] = True
+        self._corner_count = np.zeros(len(ordered.root), dtype=np.int32)
+        self._count_corners(self._faces, 1)
 
     def at(self, root: np.ndarray, drops: DropRecord) -> tuple[np.ndarray, np.ndarray]:
         """What :func:`warpqem.decimation.faces_left.faces_left` gives for a level.
@@ -43,20 +44,60 @@ class LevelFaces:
             root: (V,) int32, the vertex that each input vertex collapsed into.
             drops: the pruned components.
         """
-        dropped = _dropped(drops, len(root))
-        face = self._at((root != self._root) | (dropped != self._dropped))
-        corner = self._faces[face]
-        self._corners[face] = corner_root = root[corner]
-        a, b, c = corner_root.T
-        self._is_left[face] = (a != b) & (b != c) & (c != a) & ~dropped[corner[:, 0]]
+        dropped = _dropped(drops)
+        is_changed = root != self._root
+        if dropped is not None or self._dropped is not None:
+            is_changed |= _at_vertices(dropped, len(root)) != _at_vertices(self._dropped, len(root))
         self._root, self._dropped = root, dropped
+        face = self._at(is_changed)
+        if len(face):
+            self._look_at(face, root, dropped)
+        return self._faces, self._face_map
+
+    @property
+    def is_kept(self) -> npt.NDArray[np.bool_]:
+        """(V,) bool, the vertices of the level that was asked for last."""
+        return self._corner_count > 0
+
+    def _look_at(self, face: npt.NDArray[np.integer], root: np.ndarray, dropped: npt.NDArray[np.bool_] | None) -> None:
+        """Put some faces (n,) of the input, ascending, in the list as they are now, or take them out."""
+        corner = self._input.take(face, axis=0)
+        corner_root = root.take(corner)
+        a, b, c = corner_root.T
+        is_left = (a != b) & (b != c) & (c != a)
+        if dropped is not None:
+            is_left &= ~dropped.take(corner[:, 0])
+        was_left = self._is_left.take(face)
+        self._is_left[face] = is_left
+        old = np.searchsorted(self._face_map, face[was_left].astype(np.int32))
+        self._count_corners(self._faces.take(old, axis=0), -1)
+        stays = np.ones(len(self._face_map), dtype=bool)
+        stays[old] = False
         face_map = np.flatnonzero(self._is_left).astype(np.int32)
-        return self._corners.take(face_map, axis=0), face_map
+        new = np.searchsorted(face_map, face[is_left].astype(np.int32))
+        is_old = np.ones(len(face_map), dtype=bool)
+        is_old[new] = False
+        # Rows of the faces that are not looked at go on; those between them are put in afterwards.
+        place = np.zeros(len(face_map), dtype=np.intp)
+        place[is_old] = np.flatnonzero(stays)
+        faces = self._faces.take(place, axis=0) if len(self._faces) else np.empty((len(face_map), 3), dtype=np.int32)
+        faces[new] = found = corner_root[is_left]
+        self._count_corners(found, 1)
+        self._faces, self._face_map = faces, face_map
+
+    def _count_corners(self, faces: np.ndarray, each: int) -> None:
+        """Add ``each`` for every corner of faces (n, 3) at its vertex."""
+        # A number of the same type is added ten times as fast.
+        np.add.at(self._corner_count, faces.ravel(), np.int32(each))
 
 
-def _dropped(drops: DropRecord, vertex_count: int) -> npt.NDArray[np.bool_]:
-    """(V,) bool, vertices of components that were pruned."""
+def _dropped(drops: DropRecord) -> npt.NDArray[np.bool_] | None:
+    """(V,) bool, vertices of components that were pruned; None for none."""
     if not len(drops):
-        return np.zeros(vertex_count, dtype=bool)
+        return None
     dropped: npt.NDArray[np.bool_] = drops.vertex_drop >= 0
     return dropped
+
+
+def _at_vertices(dropped: npt.NDArray[np.bool_] | None, count: int) -> npt.NDArray[np.bool_]:
+    return np.zeros(count, dtype=bool) if dropped is None else dropped

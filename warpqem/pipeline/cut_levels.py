@@ -44,14 +44,22 @@ class CutLevel:
         ordered: its topology.
         kept: (C,) int32, the input vertices that its clusters go by, ascending.
         last: (V,) int, the last collapse of each cluster, see :func:`warpqem.decimation.forest_cut.last_collapses`.
+        is_kept: (V,) bool, the same vertices.
     """
 
     def __init__(
-        self, choice: Choice, ordered: DecimatedMesh, last: np.ndarray, root_there: wp.array | None = None
+        self,
+        choice: Choice,
+        ordered: DecimatedMesh,
+        last: np.ndarray,
+        is_kept: np.ndarray | None = None,
+        root_there: wp.array | None = None,
     ) -> None:
         self.choice, self.ordered, self.last, self._root_there = choice, ordered, last, root_there
-        self.is_kept = np.zeros(len(ordered.root), dtype=bool)
-        self.is_kept[ordered.faces] = True
+        if is_kept is None:
+            is_kept = np.zeros(len(ordered.root), dtype=bool)
+            is_kept[ordered.faces] = True
+        self.is_kept = is_kept
         self.kept = np.flatnonzero(self.is_kept).astype(np.int32)
 
     @property
@@ -134,8 +142,8 @@ def placer_of(work: Prepared, around: FacesAround, level: CutLevel, kept: np.nda
     if work.quadric_sums is None:
         # Only faces around count.
         near = around.at(cluster >= 0)
-        faces = faces[near]
-        ordered = replace(ordered, constrained=ordered.constrained.reshape(-1, 3)[near].ravel())
+        faces = faces.take(near, axis=0)
+        ordered = replace(ordered, constrained=ordered.constrained.reshape(-1, 3).take(near, axis=0).ravel())
     settings = replace(work.place_settings, loose=level.choice.loose)
     return ClusterPlacer(
         faces, ordered, kept, cluster, work.quadric_scale, work.pinned, settings, work.device, work.quadric_sums

@@ -131,6 +131,7 @@ class _Search:
             self._forest.prepare_ahead()
         # The last place is of vertices without a collapse.
         self._error = np.append(log.error, np.float32(-1.0))
+        self._loose = np.ones(len(ordered.root), dtype=bool)
         level_faces = LevelFaces(work.mesh.faces, around.at, ordered)
         self._states = ClusterStates(work.mesh.faces, ordered, self._forest, level_faces)
         self._steps = OrderSteps(log, drops, len(work.mesh.faces))
@@ -219,9 +220,8 @@ class _Search:
 
     def _level(self, cut: Cut) -> CutLevel:
         """A level whose clusters are placed by their planes, but for those that ordering left."""
-        ordered = self._states.at(cut)
-        loose = np.ones(len(ordered.root), dtype=bool)
-        return CutLevel(Choice(cut, loose), ordered, self._forest.last_collapses(cut), self._states.root_there)
+        found = self._states.at(cut)
+        return CutLevel(Choice(cut, self._loose), found.ordered, found.last, found.is_kept, found.root_there)
 
     def _collapses_at_spots(self, level: CutLevel, largest: float) -> np.ndarray:
         """The last collapse of the largest error at each of the furthest spots."""
