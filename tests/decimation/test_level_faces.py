@@ -41,10 +41,13 @@ def expected_faces(root, dropped) -> np.ndarray:
 @given(LEVELS)
 def test_faces_of_levels_are_those_with_three_roots_that_were_not_pruned(levels):
     around = FacesAround(FACES, VERTEX_COUNT)
-    found = LevelFaces(FACES, around.at, Ordered(*levels[0]))
+    found = LevelFaces(FACES, around.at_vertices, Ordered(*levels[0]))
+    before = np.array(levels[0][0], dtype=np.int32)
     for root, dropped in levels[1:]:
         roots = np.array(root, dtype=np.int32)
-        faces, face_map = found.at(roots, record(dropped))
+        faces, face_map = found.at(roots, np.flatnonzero(roots != before), record(dropped))
+        before = roots
         np.testing.assert_array_equal(face_map, expected_faces(roots, dropped))
         np.testing.assert_array_equal(faces, roots[FACES[face_map]])
+        np.testing.assert_array_equal(np.flatnonzero(found.is_kept), np.unique(faces))
         assert faces.dtype == face_map.dtype == np.int32

@@ -32,9 +32,12 @@ def cuts(log):
 def test_roots_of_levels_are_those_of_their_collapses(log):
     roots = LevelRoots(SimpleNamespace(log=log, root=log.roots(COUNT)))
     for _, cut in cuts(log):
-        found = roots.at(cut.kept)
-        np.testing.assert_array_equal(found, log.chosen(cut.kept).roots(COUNT))
-        assert found.dtype == np.int32
+        before = roots.root.copy()
+        changed = roots.at(cut.kept)
+        np.testing.assert_array_equal(roots.root, log.chosen(cut.kept).roots(COUNT))
+        np.testing.assert_array_equal(roots.index, roots.root)
+        np.testing.assert_array_equal(changed, np.flatnonzero(roots.root != before))
+        assert roots.root.dtype == np.int32
 
 
 def test_last_collapses_of_a_cut_are_the_last_of_those_kept(log):

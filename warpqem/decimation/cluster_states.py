@@ -36,15 +36,17 @@ class ClusterLevel:
     """A level, and what its clusters are.
 
     Attributes:
-        ordered: the level; the arrays of positions and quadrics are shared by all of them.
+        ordered: the level; the arrays of roots, positions and quadrics are shared by all of them.
         last: (V,) int32, the last collapse of each cluster, see :meth:`CollapseForest.last_collapses`.
         is_kept: (V,) bool, its vertices.
-        root_there: (V,) int32, its roots on a device with memory of its own; else None.
+        root_index: (V,) its roots as NumPy takes indices; shared likewise.
+        root_there: (V,) int32, the same on a device with memory of its own; else None.
     """
 
     ordered: DecimatedMesh
     last: np.ndarray
     is_kept: np.ndarray
+    root_index: np.ndarray
     root_there: wp.array | None
 
 
@@ -76,15 +78,15 @@ class ClusterStates:
         self._shown = self._left.copy()
 
     def at(self, cut: Cut) -> ClusterLevel:
-        """A level."""
+        """A level, for as long as no other one is asked for."""
         ordered, drops = self._ordered, self._ordered.drops
         drops = drops.chosen(cut.dropped, cut.kept) if len(drops) else drops
-        root = self._roots.at(cut.kept)
+        changed_roots, root = self._roots.at(cut.kept), self._roots.root
         device, root_there = ordered.position.device, None
         if device_traits(str(device)).own_memory:
             # As soon as it is known: the host has more to do.
             root_there = new_arrays.uploaded(root, dtype=wp.int32, device=device)
-        faces, face_map = self._faces.at(root, drops)
+        faces, face_map = self._faces.at(root, changed_roots, drops)
         last = self._forest.last_collapses(cut)
         is_kept = self._faces.is_kept
         changed = np.flatnonzero(is_kept & (last != self._shown))
@@ -102,7 +104,7 @@ class ClusterStates:
             log=ordered.log.chosen_later(cut.kept),
             drops=drops,
         )
-        return ClusterLevel(level, last, is_kept, root_there)
+        return ClusterLevel(level, last, is_kept, self._roots.index, root_there)
 
     def move(self, vertex: np.ndarray, position: wp.array, level: DecimatedMesh) -> None:
         """Put some kept vertices (n,) of a level elsewhere, (n, B) points, with the quadrics of the faces there."""
@@ -137,7 +139,7 @@ class ClusterStates:
             return
         place = np.full(len(root), -1, dtype=np.int32)
         place[vertex] = np.arange(len(vertex), dtype=np.int32)
-        cluster = place.take(root)
+        cluster = place.take(self._roots.index)
         member = np.flatnonzero(cluster >= 0)
         # By cluster, then by vertex: as no two keys are equal, they need no stable sort, which takes longer.
         key = cluster[member].astype(np.int64) << 32 | member

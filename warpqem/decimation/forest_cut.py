@@ -65,22 +65,34 @@ class CollapseForest:
 
     def __init__(self, log: CollapseRecord, drops: DropRecord, vertex_count: int) -> None:
         self.log, self.drops, self._vertex_count = log, drops, vertex_count
+        self._before_ahead: Callable[[], npt.NDArray[np.int32]] | None = None
         self._ahead: Callable[[], tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]] | None = None
         self._all_removed = int(log.faces_removed.sum())
-        ends = [0, *(np.flatnonzero(np.diff(log.round_index)) + 1).tolist(), len(log)]
-        # The collapse before each one that went by the same vertex, (C,); -1 for none.
-        self._before = np.empty(len(log), dtype=np.int32)
         self.last = np.full(vertex_count, -1, dtype=np.int32)
-        index = np.arange(len(log), dtype=np.int32)
-        # Of one round no two collapses share a vertex.
-        for first, last in itertools.pairwise(ends):
-            kept = log.kept[first:last]
-            self._before[first:last] = self.last.take(kept)
-            self.last[kept] = index[first:last]
+        # Of several the last one counts.
+        self.last[log.kept] = np.arange(len(log), dtype=np.int32)
 
     def prepare_ahead(self) -> None:
-        """Find in a thread what cuts without some collapses take, for those who know that they will ask for some."""
+        """Find in threads what cuts without some collapses take, for those who know that they will ask for some."""
+        self._before_ahead = done_ahead(lambda: self._preceding)
         self._ahead = done_ahead(lambda: (self._following, self._begun))
+
+    @property
+    def _before(self) -> npt.NDArray[np.int32]:
+        return self._preceding if self._before_ahead is None else self._before_ahead()
+
+    @functools.cached_property
+    def _preceding(self) -> npt.NDArray[np.int32]:
+        """(C,), the collapse before each one that went by the same vertex; -1 for none."""
+        log, last = self.log, np.full(self._vertex_count, -1, dtype=np.int32)
+        before, index = np.empty(len(log), dtype=np.int32), np.arange(len(log), dtype=np.int32)
+        ends = [0, *(np.flatnonzero(np.diff(log.round_index)) + 1).tolist(), len(log)]
+        # Of one round no two collapses share a vertex.
+        for first, end in itertools.pairwise(ends):
+            kept = log.kept[first:end]
+            before[first:end] = last.take(kept)
+            last[kept] = index[first:end]
+        return before
 
     @property
     def _next(self) -> npt.NDArray[np.int32]:

@@ -12,24 +12,27 @@ from warpqem.decimation.pruning import DropRecord
 
 __all__ = ["LevelFaces"]
 
+# Faces that are looked at at once: new memory for all of them takes longer than the rest.
+AT_ONCE = 8192
+
 
 class LevelFaces:
     """The faces that each level leaves, on the host, which knows what decides them.
 
     Args:
         faces: (N, 3) int32, the input's.
-        at: finds the faces (n,), ascending, that have one of some vertices, (V,) bool.
+        at: finds the faces (n,), ascending, that have one of some vertices (m,).
         ordered: the level that the first one is near to.
     """
 
     def __init__(
         self,
         faces: np.ndarray,
-        at: Callable[[npt.NDArray[np.bool_]], npt.NDArray[np.integer]],
+        at: Callable[[npt.NDArray[np.integer]], npt.NDArray[np.integer]],
         ordered: DecimatedMesh,
     ) -> None:
         self._input, self._at = faces, at
-        self._root, self._dropped = ordered.root, _dropped(ordered.drops)
+        self._dropped = _dropped(ordered.drops)
         # Those that are left, over roots, and which of the input's they are.
         self._faces, self._face_map = ordered.faces, ordered.face_map
         self._is_left = np.zeros(len(faces), dtype=bool)
@@ -37,19 +40,22 @@ class LevelFaces:
         self._corner_count = np.zeros(len(ordered.root), dtype=np.int32)
         self._count_corners(self._faces, 1)
 
-    def at(self, root: np.ndarray, drops: DropRecord) -> tuple[np.ndarray, np.ndarray]:
+    def at(
+        self, root: np.ndarray, changed: npt.NDArray[np.integer], drops: DropRecord
+    ) -> tuple[np.ndarray, np.ndarray]:
         """What :func:`warpqem.decimation.faces_left.faces_left` gives for a level.
 
         Args:
             root: (V,) int32, the vertex that each input vertex collapsed into.
+            changed: (n,) int, the vertices that did not do so in the level before.
             drops: the pruned components.
         """
         dropped = _dropped(drops)
-        is_changed = root != self._root
         if dropped is not None or self._dropped is not None:
-            is_changed |= _at_vertices(dropped, len(root)) != _at_vertices(self._dropped, len(root))
-        self._root, self._dropped = root, dropped
-        face = self._at(is_changed)
+            is_changed = _at_vertices(dropped, len(root)) != _at_vertices(self._dropped, len(root))
+            changed = np.union1d(changed, np.flatnonzero(is_changed))
+        self._dropped = dropped
+        face = self._at(changed)
         if len(face):
             self._look_at(face, root, dropped)
         return self._faces, self._face_map
@@ -61,12 +67,7 @@ class LevelFaces:
 
     def _look_at(self, face: npt.NDArray[np.integer], root: np.ndarray, dropped: npt.NDArray[np.bool_] | None) -> None:
         """Put some faces (n,) of the input, ascending, in the list as they are now, or take them out."""
-        corner = self._input.take(face, axis=0)
-        corner_root = root.take(corner)
-        a, b, c = corner_root.T
-        is_left = (a != b) & (b != c) & (c != a)
-        if dropped is not None:
-            is_left &= ~dropped.take(corner[:, 0])
+        is_left, found = self._left_of(face, root, dropped)
         was_left = self._is_left.take(face)
         self._is_left[face] = is_left
         old = np.searchsorted(self._face_map, face[was_left].astype(np.int32))
@@ -81,9 +82,25 @@ class LevelFaces:
         place = np.zeros(len(face_map), dtype=np.intp)
         place[is_old] = np.flatnonzero(stays)
         faces = self._faces.take(place, axis=0) if len(self._faces) else np.empty((len(face_map), 3), dtype=np.int32)
-        faces[new] = found = corner_root[is_left]
+        faces[new] = found
         self._count_corners(found, 1)
         self._faces, self._face_map = faces, face_map
+
+    def _left_of(
+        self, face: npt.NDArray[np.integer], root: np.ndarray, dropped: npt.NDArray[np.bool_] | None
+    ) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.int32]]:
+        """Which of some faces (n,) are left, (n,) bool, and the corners of these over roots, (m, 3) int32."""
+        is_left, found = np.empty(len(face), dtype=bool), []
+        for first in range(0, len(face), AT_ONCE):
+            corner = self._input.take(face[first : first + AT_ONCE], axis=0)
+            corner_root = root.take(corner)
+            a, b, c = corner_root.T
+            left = (a != b) & (b != c) & (c != a)
+            if dropped is not None:
+                left &= ~dropped.take(corner[:, 0])
+            is_left[first : first + AT_ONCE] = left
+            found.append(corner_root.take(np.flatnonzero(left), axis=0))
+        return is_left, np.concatenate(found)
 
     def _count_corners(self, faces: np.ndarray, each: int) -> None:
         """Add ``each`` for every corner of faces (n, 3) at its vertex."""

@@ -20,6 +20,8 @@ __all__ = ["FaceLists", "FacesAround", "faces_at_clusters", "uploaded"]
 
 # One of so many vertices, or more, are looked for at the corners of all faces, which needs no lists.
 MANY = 4
+# Vertices whose faces are looked up at once: new memory for all of them takes longer than the rest.
+AT_ONCE = 4096
 
 
 class FaceLists:
@@ -116,8 +118,13 @@ class FacesAround(FaceLists):
         vertex = np.flatnonzero(is_there)
         if MANY * len(vertex) > self._vertex_count:
             return np.flatnonzero(any_corner(is_there[self.corner_vertex.reshape(-1, 3)]))
+        return self.at_vertices(vertex)
+
+    def at_vertices(self, vertex: npt.NDArray[np.integer]) -> npt.NDArray[np.int64]:
+        """The same of a few vertices (n,)."""
         is_found = np.zeros(len(self.corner_vertex) // 3, dtype=bool)
-        is_found[self._one_after_another(vertex)[0]] = True
+        for first in range(0, len(vertex), AT_ONCE):
+            is_found[self._one_after_another(vertex[first : first + AT_ONCE])[0]] = True
         return np.flatnonzero(is_found)
 
     def _one_after_another(

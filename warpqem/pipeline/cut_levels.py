@@ -45,6 +45,7 @@ class CutLevel:
         kept: (C,) int32, the input vertices that its clusters go by, ascending.
         last: (V,) int, the last collapse of each cluster, see :func:`warpqem.decimation.forest_cut.last_collapses`.
         is_kept: (V,) bool, the same vertices.
+        root_index: (V,) ``ordered.root`` as NumPy takes indices, which else makes a copy each time.
     """
 
     def __init__(
@@ -52,10 +53,13 @@ class CutLevel:
         choice: Choice,
         ordered: DecimatedMesh,
         last: np.ndarray,
+        *,
         is_kept: np.ndarray | None = None,
+        root_index: np.ndarray | None = None,
         root_there: wp.array | None = None,
     ) -> None:
         self.choice, self.ordered, self.last, self._root_there = choice, ordered, last, root_there
+        self.root_index = ordered.root.astype(np.intp) if root_index is None else root_index
         if is_kept is None:
             is_kept = np.zeros(len(ordered.root), dtype=bool)
             is_kept[ordered.faces] = True
@@ -72,8 +76,10 @@ class CutLevel:
 
     def unmoved(self, before: CutLevel) -> np.ndarray:
         """(V,) bool, kept vertices whose clusters and placement are those of another level."""
-        unmoved: np.ndarray = (self.last == before.last) & (self.choice.loose == before.choice.loose)
-        return unmoved & before.is_kept
+        unmoved: np.ndarray = (self.last == before.last) & before.is_kept
+        if self.choice.loose is not before.choice.loose:
+            unmoved &= self.choice.loose == before.choice.loose
+        return unmoved
 
 
 class LevelFrames:
@@ -138,7 +144,7 @@ def placer_of(work: Prepared, around: FacesAround, level: CutLevel, kept: np.nda
     ordered, faces = level.ordered, work.mesh.faces
     index = np.full(len(work.mesh.used), -1, dtype=np.int32)
     index[kept] = np.arange(len(kept), dtype=np.int32)
-    cluster = index.take(ordered.root)
+    cluster = index.take(level.root_index)
     if work.quadric_sums is None:
         # Only faces around count.
         near = around.at(cluster >= 0)

@@ -132,7 +132,7 @@ class _Search:
         # The last place is of vertices without a collapse.
         self._error = np.append(log.error, np.float32(-1.0))
         self._loose = np.ones(len(ordered.root), dtype=bool)
-        level_faces = LevelFaces(work.mesh.faces, around.at, ordered)
+        level_faces = LevelFaces(work.mesh.faces, around.at_vertices, ordered)
         self._states = ClusterStates(work.mesh.faces, ordered, self._forest, level_faces)
         self._steps = OrderSteps(log, drops, len(work.mesh.faces))
         self._step = self._first_step = self._steps.to(target_faces)
@@ -221,7 +221,14 @@ class _Search:
     def _level(self, cut: Cut) -> CutLevel:
         """A level whose clusters are placed by their planes, but for those that ordering left."""
         found = self._states.at(cut)
-        return CutLevel(Choice(cut, self._loose), found.ordered, found.last, found.is_kept, found.root_there)
+        return CutLevel(
+            Choice(cut, self._loose),
+            found.ordered,
+            found.last,
+            is_kept=found.is_kept,
+            root_index=found.root_index,
+            root_there=found.root_there,
+        )
 
     def _collapses_at_spots(self, level: CutLevel, largest: float) -> np.ndarray:
         """The last collapse of the largest error at each of the furthest spots."""

@@ -75,7 +75,7 @@ class LevelDistances:
         faces, face = ordered.faces.take(changed, axis=0), ordered.face_map.take(changed)
         near = np.zeros(len(ordered.root), dtype=bool)
         near[faces.ravel()] = True
-        is_near, here = near.take(ordered.root), self._here(level)
+        is_near, here = near.take(level.root_index), self._here(level)
         around = FacesAround(ordered.faces, len(ordered.root))
         side = Side(level_lanes, around, around)
         vertex = np.flatnonzero(is_near & here)
@@ -168,7 +168,7 @@ class LevelDistances:
 
     def _here(self, level: CutLevel) -> np.ndarray:
         """(V,) bool, input vertices that a level has something of."""
-        here: np.ndarray = level.is_kept.take(level.ordered.root) & self._mesh.used
+        here: np.ndarray = level.is_kept.take(level.root_index) & self._mesh.used
         return here
 
     def _distances(self, *places: Places) -> list[np.ndarray]:
