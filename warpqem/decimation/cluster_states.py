@@ -16,7 +16,7 @@ from warpqem.decimation.collapse_nodes import read_rows
 from warpqem.decimation.decimate import DecimatedMesh
 from warpqem.decimation.forest_cut import CollapseForest, Cut
 from warpqem.decimation.level_faces import LevelFaces
-from warpqem.decimation.level_roots import LevelRoots
+from warpqem.decimation.level_roots import LevelRoots, RootCounts
 from warpqem.decimation.memoryless_quadrics import MemorylessQuadrics
 from warpqem.decimation.replay import copy_rows, put_rows
 from warpqem.kernels import anchor as kernels
@@ -58,15 +58,17 @@ class ClusterStates:
         ordered: what that left.
         forest: its collapses.
         faces: finds the faces of levels.
+        counts: what each root of a level stands for, to be kept up; None for nothing.
     """
 
     def __init__(
-        self, input_faces: np.ndarray, ordered: DecimatedMesh, forest: CollapseForest, faces: LevelFaces
-    ) -> None:
+        self, input_faces: np.ndarray, ordered: DecimatedMesh, forest: CollapseForest, faces: LevelFaces,
+        counts: RootCounts | None = None,
+    ) -> None:  # fmt: skip
         self._ordered, self._forest, self._faces = ordered, forest, faces
         # Before what the host has to do: so the device has no wait for it.
         self._position, self._quadric = wp.clone(ordered.position), wp.clone(ordered.quadric)
-        self._roots = LevelRoots(ordered)
+        self._roots = LevelRoots(ordered, counts)
         self._present = MemorylessQuadrics(input_faces, ordered)
         # The last collapse of each cluster that ordering left; there is no state of others, nor of pruned ones.
         left = forest.last

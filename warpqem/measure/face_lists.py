@@ -69,8 +69,10 @@ class FacesAround(FaceLists):
         _ = self._start, self._face
 
     def _wait(self) -> None:
-        if self._ahead is not None:
-            self._ahead()
+        # Several threads may ask.
+        ahead = self._ahead
+        if ahead is not None:
+            ahead()
             self._ahead = None
 
     @property

@@ -14,6 +14,7 @@ from warpqem.measure.face_lists import FacesAround
 from warpqem.measure.unit_frames import ChangingBlock, UnitBlock, UnitFrames
 from warpqem.pipeline.prepare import Prepared
 from warpqem.place.block_placer import pack_block
+from warpqem.place.cluster_parts import ClusterParts, LevelParts
 from warpqem.place.clusters import ClusterPlacer
 from warpqem.runtime import new_arrays
 
@@ -91,6 +92,7 @@ class LevelFrames:
         about: (n, V, 3) float32, its frames about its origin.
         own: the same in the caller's coordinates.
         units: what brings them to unit size.
+        parts: finds what belongs to clusters of levels on the device; None for the host.
 
     Attributes:
         reference: the input at unit size.
@@ -99,8 +101,10 @@ class LevelFrames:
     """
 
     def __init__(
-        self, work: Prepared, around: FacesAround, about: np.ndarray, own: np.ndarray, units: UnitFrames
-    ) -> None:
+        self, work: Prepared, around: FacesAround, about: np.ndarray, own: np.ndarray, units: UnitFrames,
+        parts: LevelParts | None = None,
+    ) -> None:  # fmt: skip
+        self._parts = parts
         self._work, self._around, self._about = work, around, to_device(about, work.device)
         self._packed = pack_block(work.mesh, self._about, work.device)
         self.reference = UnitBlock(own, units, work.device)
@@ -119,7 +123,7 @@ class LevelFrames:
         mesh = self._work.mesh
         moved = level.kept if before is None else level.kept[~level.unmoved(before)[level.kept]]
         if len(moved):
-            placer = placer_of(self._work, self._around, level, moved)
+            placer = placer_of(self._work, self._around, level, moved, self._parts)
             self._put(moved, placer.place(mesh, self._about, self._packed).restored(mesh))
         return moved
 
@@ -139,8 +143,25 @@ class LevelFrames:
         return points
 
 
-def placer_of(work: Prepared, around: FacesAround, level: CutLevel, kept: np.ndarray) -> ClusterPlacer:
-    """What places the clusters of a level that go by some vertices (M,)."""
+def placer_of(
+    work: Prepared, around: FacesAround, level: CutLevel, kept: np.ndarray, parts: LevelParts | None = None
+) -> ClusterPlacer:
+    """What places the clusters of a level that go by some vertices (M,); ``parts`` finds what belongs to them."""
+    ordered = level.ordered
+    if parts is not None:
+        found = parts.of(ordered.root, level.root_there, kept)
+    else:
+        found, ordered = _parts_of(work, around, level, kept)
+    settings = replace(work.place_settings, loose=level.choice.loose)
+    return ClusterPlacer(
+        ordered, kept, found, work.quadric_scale, work.pinned, settings, work.device, work.quadric_sums
+    )
+
+
+def _parts_of(
+    work: Prepared, around: FacesAround, level: CutLevel, kept: np.ndarray
+) -> tuple[ClusterParts, DecimatedMesh]:
+    """What belongs to the same clusters, found on the host, and the level with the faces that this takes."""
     ordered, faces = level.ordered, work.mesh.faces
     index = np.full(len(work.mesh.used), -1, dtype=np.int32)
     index[kept] = np.arange(len(kept), dtype=np.int32)
@@ -150,7 +171,5 @@ def placer_of(work: Prepared, around: FacesAround, level: CutLevel, kept: np.nda
         near = around.at(cluster >= 0)
         faces = faces.take(near, axis=0)
         ordered = replace(ordered, constrained=ordered.constrained.reshape(-1, 3).take(near, axis=0).ravel())
-    settings = replace(work.place_settings, loose=level.choice.loose)
-    return ClusterPlacer(
-        faces, ordered, kept, cluster, work.quadric_scale, work.pinned, settings, work.device, work.quadric_sums
-    )
+    parts = ClusterParts.of(faces, ordered, cluster, len(kept), work.quadric_scale, work.device)
+    return parts, ordered

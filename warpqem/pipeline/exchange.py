@@ -21,6 +21,7 @@ from warpqem.decimation.collapse_nodes import NodeRecorder
 from warpqem.decimation.decimate import DecimatedMesh
 from warpqem.decimation.forest_cut import CollapseForest, Cut
 from warpqem.decimation.level_faces import LevelFaces
+from warpqem.decimation.level_roots import RootCounts
 from warpqem.decimation.order_steps import OrderSteps
 from warpqem.frames.device_frames import DeviceSink, to_device
 from warpqem.frames.stream import ArrayFrames, ArraySink, counted_frames
@@ -33,6 +34,7 @@ from warpqem.pipeline.key_frames import looked_frames
 from warpqem.pipeline.level_distances import LevelDistances
 from warpqem.pipeline.prepare import ORDER_END, Prepared, spare_count
 from warpqem.pipeline.result import with_frames, without_frames
+from warpqem.place.cluster_parts import LevelParts
 from warpqem.runtime.device import device_traits
 
 __all__ = ["exchanged", "faces_ahead", "order_with_spare", "spare_faces"]
@@ -125,7 +127,13 @@ class _Search:
         units = UnitFrames(np.broadcast_to(mesh.centre + mesh.origin, (count, 3)), np.full(count, mesh.diagonal))
         every = slice(0, count)
         points = mesh.source.read(every)
-        self._frames = LevelFrames(self._work, around, mesh.points(every), points, units)
+        self._parts: LevelParts | None = None
+        counts: RootCounts | None = None
+        if device_traits(work.device).own_memory and work.quadric_sums is None:
+            counts = RootCounts(ordered.root, lambda: around.start)
+            scale = work.quadric_scale
+            self._parts = LevelParts(work.mesh.faces, around, ordered, scale, counts.of, work.device)
+        self._frames = LevelFrames(self._work, around, mesh.points(every), points, units, self._parts)
         self._forest = CollapseForest(log, drops, len(ordered.root))
         if device_traits(work.device).own_memory:
             self._forest.prepare_ahead()
@@ -133,7 +141,7 @@ class _Search:
         self._error = np.append(log.error, np.float32(-1.0))
         self._loose = np.ones(len(ordered.root), dtype=bool)
         level_faces = LevelFaces(work.mesh.faces, around.at_vertices, ordered)
-        self._states = ClusterStates(work.mesh.faces, ordered, self._forest, level_faces)
+        self._states = ClusterStates(work.mesh.faces, ordered, self._forest, level_faces, counts)
         self._steps = OrderSteps(log, drops, len(work.mesh.faces))
         self._step = self._first_step = self._steps.to(target_faces)
         # Where pruning alone led here there are no collapses.
@@ -246,7 +254,7 @@ class _Search:
             clip = _clip(mesh, self._whole.key_frames)
             points = to_device(clip.points(slice(0, clip.frame_count)), device)
             for _ in range(PLACED_TIMES):
-                placed = placer_of(self._whole, self._around, level, vertex).place(clip, points)
+                placed = placer_of(self._whole, self._around, level, vertex, self._parts).place(clip, points)
                 self._states.move(vertex, placed.points, level.ordered)
         return level.ordered
 
