@@ -7,6 +7,8 @@ input vertices hold the vertex when it is placed; the place itself comes from th
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,10 +20,12 @@ from warpqem.decimation.forest_cut import CollapseForest, Cut
 from warpqem.decimation.level_faces import LevelFaces
 from warpqem.decimation.level_roots import LevelRoots, RootCounts
 from warpqem.decimation.memoryless_quadrics import MemorylessQuadrics
+from warpqem.decimation.pruning import DropRecord
 from warpqem.decimation.replay import copy_rows, put_rows
 from warpqem.kernels import anchor as kernels
 from warpqem.kernels.lanes import width_of
 from warpqem.runtime import new_arrays
+from warpqem.runtime.ahead import done_ahead
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import launch
 
@@ -50,6 +54,17 @@ class ClusterLevel:
     root_there: wp.array | None
 
 
+@dataclass(frozen=True)
+class _Topology:
+    """What the host finds of a level, beside its roots; see :class:`ClusterLevel`."""
+
+    faces: np.ndarray
+    face_map: np.ndarray
+    drops: DropRecord
+    last: np.ndarray
+    is_kept: np.ndarray
+
+
 class ClusterStates:
     """All that placing needs of any level of a forest.
 
@@ -57,18 +72,20 @@ class ClusterStates:
         input_faces: (N, 3) int32, what was ordered.
         ordered: what that left.
         forest: its collapses.
-        faces: finds the faces of levels.
+        faces_at: finds the faces (n,), ascending, that have one of some vertices (m,) of the input.
         counts: what each root of a level stands for, to be kept up; None for nothing.
     """
 
     def __init__(
-        self, input_faces: np.ndarray, ordered: DecimatedMesh, forest: CollapseForest, faces: LevelFaces,
+        self, input_faces: np.ndarray, ordered: DecimatedMesh, forest: CollapseForest,
+        faces_at: Callable[[np.ndarray], np.ndarray],
         counts: RootCounts | None = None,
     ) -> None:  # fmt: skip
-        self._ordered, self._forest, self._faces = ordered, forest, faces
+        self._input_faces, self._faces_at, self._counts = input_faces, faces_at, counts
+        self._ordered, self._forest = ordered, forest
+        self._ahead: tuple[Cut, Callable[[], _Topology]] | None = None
         # Before what the host has to do: so the device has no wait for it.
         self._position, self._quadric = wp.clone(ordered.position), wp.clone(ordered.quadric)
-        self._roots = LevelRoots(ordered, counts)
         self._present = MemorylessQuadrics(input_faces, ordered)
         # The last collapse of each cluster that ordering left; there is no state of others, nor of pruned ones.
         left = forest.last
@@ -79,18 +96,41 @@ class ClusterStates:
         # The last collapse of the cluster whose state each vertex shows.
         self._shown = self._left.copy()
 
-    def at(self, cut: Cut) -> ClusterLevel:
-        """A level, for as long as no other one is asked for."""
-        ordered, drops = self._ordered, self._ordered.drops
-        drops = drops.chosen(cut.dropped, cut.kept) if len(drops) else drops
-        changed_roots, root = self._roots.at(cut.kept), self._roots.root
-        device, root_there = ordered.position.device, None
+    @functools.cached_property
+    def _roots(self) -> LevelRoots:
+        return LevelRoots(self._ordered, self._counts)
+
+    @functools.cached_property
+    def _faces(self) -> LevelFaces:
+        return LevelFaces(self._input_faces, self._faces_at, self._ordered)
+
+    def find_ahead(self, cut: Cut) -> None:
+        """Find in a thread what the first level is, for those who know it."""
+        self._ahead = cut, done_ahead(lambda: self._found(cut, self._roots.at(cut.kept)))
+
+    def at(self, cut: Cut, known: ClusterLevel | None = None) -> ClusterLevel:
+        """A level, for as long as no other one is asked for.
+
+        ``known`` is what was given for the same cut before, and says that no other level will be asked for.
+        """
+        ordered, found = self._ordered, None
+        if self._ahead is not None:
+            begun, result = self._ahead
+            found = result()
+            self._ahead = None
+            found = found if begun is cut else None
+        changed_roots = self._roots.at(cut.kept) if found is None else None
+        root, device, root_there = self._roots.root, ordered.position.device, None
         if device_traits(str(device)).own_memory:
             # As soon as it is known: the host has more to do.
             root_there = new_arrays.uploaded(root, dtype=wp.int32, device=device)
-        faces, face_map = self._faces.at(root, changed_roots, drops)
-        last = self._forest.last_collapses(cut)
-        is_kept = self._faces.is_kept
+        if known is not None:
+            level = known.ordered
+            found = _Topology(level.faces, level.face_map, level.drops, known.last, known.is_kept)
+        elif found is None:
+            assert changed_roots is not None
+            found = self._found(cut, changed_roots)
+        faces, face_map, last, is_kept = found.faces, found.face_map, found.last, found.is_kept
         changed = np.flatnonzero(is_kept & (last != self._shown))
         self._shown[changed] = last[changed]
         self._restore(changed[last[changed] == self._left[changed]])
@@ -104,9 +144,16 @@ class ClusterStates:
             quadric=self._quadric,
             stopped="target",
             log=ordered.log.chosen_later(cut.kept),
-            drops=drops,
+            drops=found.drops,
         )
         return ClusterLevel(level, last, is_kept, self._roots.index, root_there)
+
+    def _found(self, cut: Cut, changed_roots: np.ndarray) -> _Topology:
+        """What the host finds of a level, of which some vertices (n,) have other roots than in the one before."""
+        drops = self._ordered.drops
+        drops = drops.chosen(cut.dropped, cut.kept) if len(drops) else drops
+        faces, face_map = self._faces.at(self._roots.root, changed_roots, drops)
+        return _Topology(faces, face_map, drops, self._forest.last_collapses(cut), self._faces.is_kept)
 
     def move(self, vertex: np.ndarray, position: wp.array, level: DecimatedMesh) -> None:
         """Put some kept vertices (n,) of a level elsewhere, (n, B) points, with the quadrics of the faces there."""

@@ -150,6 +150,22 @@ class CollapseForest:
         kept[left_out], dropped[drops] = False, False
         return self._closed(kept, dropped, left_out)
 
+    def leave_out(self, left_out: npt.NDArray[np.bool_], collapses: np.ndarray) -> None:
+        """Add some collapses (indices) to those that are left out, (C,) bool, and all that need them."""
+        newest = collapses
+        left_out[newest] = True
+        while len(newest):
+            needing = self._needing(newest)
+            newest = needing[~left_out[needing]]
+            left_out[newest] = True
+
+    def without_all(self, cut: Cut, left_out: npt.NDArray[np.bool_]) -> Cut:
+        """A beginning of the order without what :meth:`leave_out` gave.
+
+        What needs a collapse comes after it, so that nothing else needs what is left out.
+        """
+        return self._restored(cut.kept & ~left_out, cut.dropped.copy())
+
     def with_parts(self, collapses: np.ndarray, generations: int) -> np.ndarray:
         """Collapses (indices), and so many generations of those that made their clusters."""
         found = newest = collapses
@@ -167,10 +183,18 @@ class CollapseForest:
     def _closed(self, kept: np.ndarray, dropped: np.ndarray, left_out: np.ndarray) -> Cut:
         """The largest cut within a choice of collapses and drops, of which some collapses (indices) are left out."""
         while len(left_out):
-            needing = np.unique(np.concatenate([self._next[left_out], self._joins_opposites_of(left_out)]))
-            needing = needing[needing < len(self.log)]
+            needing = self._needing(left_out)
             left_out = needing[kept[needing]]
             kept[left_out] = False
+        return self._restored(kept, dropped)
+
+    def _needing(self, collapses: np.ndarray) -> np.ndarray:
+        """The collapses that need some of them at once (indices), each once."""
+        needing = np.unique(np.concatenate([self._next[collapses], self._joins_opposites_of(collapses)]))
+        return needing[needing < len(self.log)]
+
+    def _restored(self, kept: np.ndarray, dropped: np.ndarray) -> Cut:
+        """A cut whose pruned components are those of which no collapse is left out."""
         if len(self.drops):
             # What was pruned was a component as far as its collapses went.
             owner = self.drops.vertex_drop[self.log.kept]

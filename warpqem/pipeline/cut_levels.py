@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import warp as wp
 
+from warpqem.decimation.cluster_states import ClusterLevel
 from warpqem.decimation.decimate import DecimatedMesh
 from warpqem.decimation.forest_cut import Cut
 from warpqem.frames.device_frames import take_vertices, to_device
@@ -46,6 +47,7 @@ class CutLevel:
         kept: (C,) int32, the input vertices that its clusters go by, ascending.
         last: (V,) int, the last collapse of each cluster, see :func:`warpqem.decimation.forest_cut.last_collapses`.
         is_kept: (V,) bool, the same vertices.
+        found: what is known of it, None for no more than that.
         root_index: (V,) ``ordered.root`` as NumPy takes indices, which else makes a copy each time.
     """
 
@@ -54,17 +56,16 @@ class CutLevel:
         choice: Choice,
         ordered: DecimatedMesh,
         last: np.ndarray,
-        *,
-        is_kept: np.ndarray | None = None,
-        root_index: np.ndarray | None = None,
-        root_there: wp.array | None = None,
+        found: ClusterLevel | None = None,
     ) -> None:
-        self.choice, self.ordered, self.last, self._root_there = choice, ordered, last, root_there
-        self.root_index = ordered.root.astype(np.intp) if root_index is None else root_index
-        if is_kept is None:
-            is_kept = np.zeros(len(ordered.root), dtype=bool)
-            is_kept[ordered.faces] = True
-        self.is_kept = is_kept
+        self.choice, self.ordered, self.last, self.found = choice, ordered, last, found
+        self._root_there = None if found is None else found.root_there
+        if found is None:
+            self.root_index = ordered.root.astype(np.intp)
+            self.is_kept = np.zeros(len(ordered.root), dtype=bool)
+            self.is_kept[ordered.faces] = True
+        else:
+            self.root_index, self.is_kept = found.root_index, found.is_kept
         self.kept = np.flatnonzero(self.is_kept).astype(np.int32)
 
     @property
