@@ -72,7 +72,7 @@ class ClusterStates:
         input_faces: (N, 3) int32, what was ordered.
         ordered: what that left.
         forest: its collapses.
-        faces_at: finds the faces (n,), ascending, that have one of some vertices (m,) of the input.
+        faces_at: finds faces of the input at some of its vertices, see :class:`LevelFaces`.
         counts: what each root of a level stands for, to be kept up; None for nothing.
     """
 
@@ -148,11 +148,11 @@ class ClusterStates:
         )
         return ClusterLevel(level, last, is_kept, self._roots.index, root_there)
 
-    def _found(self, cut: Cut, changed_roots: np.ndarray) -> _Topology:
-        """What the host finds of a level, of which some vertices (n,) have other roots than in the one before."""
+    def _found(self, cut: Cut, changed: tuple[np.ndarray, np.ndarray]) -> _Topology:
+        """What the host finds of a level, of which some vertices had other roots in the one before."""
         drops = self._ordered.drops
         drops = drops.chosen(cut.dropped, cut.kept) if len(drops) else drops
-        faces, face_map = self._faces.at(self._roots.root, changed_roots, drops)
+        faces, face_map = self._faces.at(self._roots.root, *changed, drops)
         return _Topology(faces, face_map, drops, self._forest.last_collapses(cut), self._faces.is_kept)
 
     def move(self, vertex: np.ndarray, position: wp.array, level: DecimatedMesh) -> None:

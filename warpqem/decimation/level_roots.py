@@ -35,15 +35,15 @@ class LevelRoots:
         self._parent = np.arange(len(ordered.root), dtype=np.int32)
         self._parent[ordered.log.removed] = ordered.log.kept
 
-    def at(self, made: npt.NDArray[np.bool_]) -> npt.NDArray[np.integer]:
+    def at(self, made: npt.NDArray[np.bool_]) -> tuple[npt.NDArray[np.integer], npt.NDArray[np.int32]]:
         """Find the level of some collapses, (C,) bool, with all that they need.
 
         Returns:
-            (n,) int, ascending, the vertices that have another root than in the level before.
+            (n,) int, ascending, the vertices that have another root than in the level before, and that, (n,) int32.
         """
         changed = np.flatnonzero(made != self._made)
         if not len(changed):
-            return changed
+            return changed, np.empty(0, dtype=np.int32)
         kept, removed = self._log.kept[changed], self._log.removed[changed]
         # A vertex on the way of which no collapse changed has the root that it had.
         is_open = np.zeros(len(self.root), dtype=bool)
@@ -53,12 +53,12 @@ class LevelRoots:
         end = self._followed(vertex)
         before = self.root.take(vertex)
         differs = np.flatnonzero(end != before)
-        vertex, end = vertex.take(differs), end.take(differs)
+        vertex, before, end = vertex.take(differs), before.take(differs), end.take(differs)
         if self._counts is not None:
-            self._counts.move(vertex, before.take(differs), end)
+            self._counts.move(vertex, before, end)
         self.root[vertex] = self.index[vertex] = end
         self._made = made
-        return vertex
+        return vertex, before
 
     def _followed(self, vertex: npt.NDArray[np.integer]) -> npt.NDArray[np.int32]:
         """(n,) int32, where the ways from some vertices end."""

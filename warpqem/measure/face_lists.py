@@ -115,15 +115,15 @@ class FacesAround(FaceLists):
         found, count = self._one_after_another(vertex)
         return found, np.repeat(np.arange(len(vertex)), count)
 
+    def repeated(self, vertex: npt.NDArray[np.integer]) -> npt.NDArray[np.int32]:
+        """The faces at some vertices, one after another, as often as they have one of these."""
+        return self._one_after_another(vertex)[0]
+
     def at(self, is_there: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
         """The faces that have one of some vertices, (V,) bool, at least; ascending."""
         vertex = np.flatnonzero(is_there)
         if MANY * len(vertex) > self._vertex_count:
             return np.flatnonzero(any_corner(is_there[self.corner_vertex.reshape(-1, 3)]))
-        return self.at_vertices(vertex)
-
-    def at_vertices(self, vertex: npt.NDArray[np.integer]) -> npt.NDArray[np.int64]:
-        """The same of a few vertices (n,)."""
         is_found = np.zeros(len(self.corner_vertex) // 3, dtype=bool)
         for first in range(0, len(vertex), AT_ONCE):
             is_found[self._one_after_another(vertex[first : first + AT_ONCE])[0]] = True

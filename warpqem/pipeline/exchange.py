@@ -124,7 +124,7 @@ class _Search:
         own_memory = device_traits(work.device).own_memory
         by_device = own_memory and work.quadric_sums is None
         counts = RootCounts(ordered.root, lambda: around.start) if by_device else None
-        self._states = ClusterStates(work.mesh.faces, ordered, self._forest, around.at_vertices, counts)
+        self._states = ClusterStates(work.mesh.faces, ordered, self._forest, around.repeated, counts)
         self._steps = OrderSteps(log, drops, len(work.mesh.faces))
         self._step = self._first_step = self._steps.to(target_faces)
         self._first_cut = self._filled(self._prefix())
