@@ -7,7 +7,6 @@ import pytest
 import warp as wp
 
 from tests.support.moving_meshes import MESHES
-from warpqem.measure.face_lists import FacesAround
 from warpqem.options import read_keywords
 from warpqem.pipeline.prepare import prepare
 from warpqem.place.cluster_parts import ClusterParts, LevelParts
@@ -18,7 +17,7 @@ def test_parts_found_on_a_device_are_those_of_the_host(name, device):
     points, faces = MESHES[name]
     work = prepare(points, faces, read_keywords({"target_faces": 100, "device": device}))
     ordered, faces = work.order(), work.mesh.faces
-    root, around = ordered.root, FacesAround(faces, len(ordered.root))
+    root = ordered.root
     kept = np.unique(ordered.faces)[::3].astype(np.int32)
     index = np.full(len(root), -1, dtype=np.int32)
     index[kept] = np.arange(len(kept))
@@ -30,8 +29,8 @@ def test_parts_found_on_a_device_are_those_of_the_host(name, device):
         return tuple(values.astype(np.int32)[of] for values in found)
 
     wanted = ClusterParts.of(faces, ordered, cluster, len(kept), work.quadric_scale, device)
-    there = wp.array(root, dtype=wp.int32, device=device)
-    parts = LevelParts(faces, around, ordered, work.quadric_scale, counts, device)
+    there, corners = (wp.array(values, dtype=wp.int32, device=device) for values in (root, faces.ravel()))
+    parts = LevelParts(faces, corners, ordered, work.quadric_scale, counts, device)
     found = parts.of(root, there, kept)
     for attribute in ("size", "highest_rank", "holder_count"):
         np.testing.assert_array_equal(getattr(found.clusters, attribute), getattr(wanted.clusters, attribute))

@@ -131,9 +131,7 @@ class _Search:
         if own_memory:
             self._forest.prepare_ahead()
             self._states.find_ahead(self._first_cut)
-        scale = work.quadric_scale
-        parts = None if counts is None else LevelParts(work.mesh.faces, around, ordered, scale, counts.of, work.device)
-        self._parts = parts
+        self._parts = parts = None if counts is None else _parts_there(work, ordered, around, counts)
         looked, keys = looked_frames(work.key_frames, np.flatnonzero(counted_frames(work.mesh.source)))
         mesh = _clip(work.mesh, looked)
         count = len(looked)
@@ -253,6 +251,12 @@ class _Search:
                 placed = placer_of(self._whole, self._around, level, vertex, self._parts).place(clip, points)
                 self._states.move(vertex, placed.points, level.ordered)
         return level.ordered
+
+
+def _parts_there(work: Prepared, ordered: DecimatedMesh, around: FacesAround, counts: RootCounts) -> LevelParts:
+    """What finds the parts of clusters on the device."""
+    corner_vertex = around.corners(work.device)
+    return LevelParts(work.mesh.faces, corner_vertex, ordered, work.quadric_scale, counts.of, work.device)
 
 
 def _clip(mesh: AnimatedMesh, frames: np.ndarray) -> AnimatedMesh:

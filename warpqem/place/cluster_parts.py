@@ -12,7 +12,6 @@ import warp as wp
 
 from warpqem.decimation.decimate import DecimatedMesh
 from warpqem.kernels import cluster_rows as kernels
-from warpqem.measure.face_lists import FacesAround
 from warpqem.place.anchors import Clusters
 from warpqem.place.cluster_rows import ClusterFaces
 from warpqem.runtime import new_arrays
@@ -75,7 +74,7 @@ class LevelParts:
 
     Args:
         faces: (N, 3) int32, the input's.
-        around: the same.
+        corner_vertex: (3N,) int32 on the device, the same.
         ordered: the level that all are near to.
         quadric_scale: (V,) float32, scale of each input vertex's quadric.
         counts: gives of some roots (n,) of the level asked for last how many vertices each stands for, (n,) int32, and
@@ -84,10 +83,10 @@ class LevelParts:
     """
 
     def __init__(
-        self, faces: np.ndarray, around: FacesAround, ordered: DecimatedMesh, quadric_scale: np.ndarray,
+        self, faces: np.ndarray, corner_vertex: wp.array, ordered: DecimatedMesh, quadric_scale: np.ndarray,
         counts: Callable[[np.ndarray], tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]], device: str,
     ) -> None:  # fmt: skip
-        self._faces, self._around, self._counts, self._device = faces, around, counts, device
+        self._faces, self._corner_vertex, self._counts, self._device = faces, corner_vertex, counts, device
         self._row, self._line_rank = (
             new_arrays.uploaded(values, dtype=wp.int32, device=device) for values in (ordered.row, ordered.line_rank)
         )
@@ -102,7 +101,7 @@ class LevelParts:
             root_there: the same on the device.
             kept: these vertices.
         """
-        count, corner_vertex = len(kept), self._around.corners(self._device)
+        count, corner_vertex = len(kept), self._corner_vertex
         size, corners = self._counts(kept)
         cluster = self._clusters(root_there, kept)
         row = new_arrays.like(root_there)
