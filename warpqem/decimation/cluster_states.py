@@ -84,17 +84,19 @@ class ClusterStates:
         self._input_faces, self._faces_at, self._counts = input_faces, faces_at, counts
         self._ordered, self._forest = ordered, forest
         self._ahead: tuple[Cut, Callable[[], _Topology]] | None = None
+        # The last collapse of the cluster whose state each vertex shows, (V,) int32, from the first level on.
+        self._shown: np.ndarray | None = None
         # Before what the host has to do: so the device has no wait for it.
         self._position, self._quadric = wp.clone(ordered.position), wp.clone(ordered.quadric)
         self._present = MemorylessQuadrics(input_faces, ordered)
-        # The last collapse of each cluster that ordering left; there is no state of others, nor of pruned ones.
-        left = forest.last
-        is_left = (ordered.root == np.arange(len(left))) & (ordered.drops.vertex_drop < 0)
-        self._left = np.where(is_left, left, NO_STATE)
-        # An input vertex has no recorded state, but a place.
-        self._put_input(np.flatnonzero(is_left & (left < 0)))
-        # The last collapse of the cluster whose state each vertex shows.
-        self._shown = self._left.copy()
+
+    @functools.cached_property
+    def _left(self) -> np.ndarray:
+        """(V,) int32, the last collapse of each cluster that ordering left; of others, and pruned ones, no state."""
+        root, last = self._ordered.root, self._forest.last
+        is_left = root == np.arange(len(last), dtype=root.dtype)
+        is_left &= self._ordered.drops.vertex_drop < 0
+        return np.where(is_left, last, np.int32(NO_STATE))
 
     @functools.cached_property
     def _roots(self) -> LevelRoots:
@@ -106,7 +108,13 @@ class ClusterStates:
 
     def find_ahead(self, cut: Cut) -> None:
         """Find in a thread what the first level is, for those who know it."""
-        self._ahead = cut, done_ahead(lambda: self._found(cut, self._roots.at(cut.kept)))
+
+        def find() -> _Topology:
+            # Asked for with the level.
+            _ = self._left
+            return self._found(cut, self._roots.at(cut.kept))
+
+        self._ahead = cut, done_ahead(find)
 
     def at(self, cut: Cut, known: ClusterLevel | None = None) -> ClusterLevel:
         """A level, for as long as no other one is asked for.
@@ -131,6 +139,10 @@ class ClusterStates:
             assert changed_roots is not None
             found = self._found(cut, changed_roots)
         faces, face_map, last, is_kept = found.faces, found.face_map, found.last, found.is_kept
+        if self._shown is None:
+            # An input vertex has no recorded state, but a place.
+            self._put_input(np.flatnonzero(self._left == -1))
+            self._shown = self._left.copy()
         changed = np.flatnonzero(is_kept & (last != self._shown))
         self._shown[changed] = last[changed]
         self._restore(changed[last[changed] == self._left[changed]])
@@ -166,6 +178,7 @@ class ClusterStates:
 
     def made(self, vertex: np.ndarray) -> np.ndarray:
         """Those of some kept vertices whose state is none that ordering left; not those of one input vertex."""
+        assert self._shown is not None, "a level was asked for"
         shown = self._shown[vertex]
         own: np.ndarray = vertex[(shown != self._left[vertex]) & (shown >= 0)]
         return own

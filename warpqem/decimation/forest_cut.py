@@ -58,9 +58,6 @@ class CollapseForest:
         log: the collapses.
         drops: the pruned components.
         vertex_count: input vertices.
-
-    Attributes:
-        last: (V,) int32, the last collapse of all that went by each vertex, -1 for none.
     """
 
     def __init__(self, log: CollapseRecord, drops: DropRecord, vertex_count: int) -> None:
@@ -68,14 +65,19 @@ class CollapseForest:
         self._before_ahead: Callable[[], npt.NDArray[np.int32]] | None = None
         self._ahead: Callable[[], tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]] | None = None
         self._all_removed = int(log.faces_removed.sum())
-        self.last = np.full(vertex_count, -1, dtype=np.int32)
-        # Of several the last one counts.
-        self.last[log.kept] = np.arange(len(log), dtype=np.int32)
 
     def prepare_ahead(self) -> None:
         """Find in threads what cuts without some collapses take, for those who know that they will ask for some."""
         self._before_ahead = done_ahead(lambda: self._preceding)
         self._ahead = done_ahead(lambda: (self._following, self._begun))
+
+    @functools.cached_property
+    def last(self) -> npt.NDArray[np.int32]:
+        """(V,), the last collapse of all that went by each vertex, -1 for none."""
+        last = np.full(self._vertex_count, -1, dtype=np.int32)
+        # Of several the last one counts.
+        last[self.log.kept] = np.arange(len(self.log), dtype=np.int32)
+        return last
 
     @property
     def _before(self) -> npt.NDArray[np.int32]:
