@@ -94,6 +94,9 @@ _STREAMED: dict[str, tuple[tuple[str, float], ...]] = {
     "largest_steps": (("before_in", 1), ("now_in", 1), ("component_in", 1)),
     "longest_edges": (("position_in", 1), ("corner_vertex_in", 1), ("squared_out", 1)),
     "key_faces_of_corners": (("corner_vertex_in", 1), ("key_out", 1), ("face_out", 1)),
+    "mark_corners_in_clusters": (("corner_cluster_in", 1), ("is_inside_out", 1)),
+    # Of many corners few are listed.
+    "key_corners_in_clusters": (("corner_cluster_in", 1), ("before_in", 1)),
     "start_lists": (("key_in", 1), ("start_out", 1)),
     "sum_lengths": (("squared_in", 1),),
     "scale_sum": (("total_in", 1),),

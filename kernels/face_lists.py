@@ -30,6 +30,40 @@ def key_faces_of_corners(
 
 
 @wp.kernel
+def mark_corners_in_clusters(
+    # in
+    corner_cluster_in: wp.array[wp.int32],
+    # out
+    is_inside_out: wp.array[wp.int32],
+):
+    """1 for each corner that has a cluster, 0 for others."""
+    h = wp.tid()
+    is_inside_out[h] = wp.where(corner_cluster_in[h] >= 0, wp.int32(1), wp.int32(0))
+
+
+@wp.kernel
+def key_corners_in_clusters(
+    # in
+    corner_cluster_in: wp.array[wp.int32],
+    before_in: wp.array[wp.int32],
+    room: wp.int32,
+    # out
+    key_out: wp.array[wp.int32],
+    corner_out: wp.array[wp.int32],
+):
+    """The corners that have a cluster, with it as the key, as far as there is room.
+
+    ``before_in`` counts those up to each corner, itself too.
+    """
+    h = wp.tid()
+    cluster = corner_cluster_in[h]
+    place = before_in[h] - 1
+    if cluster >= 0 and place < room:
+        key_out[place] = cluster
+        corner_out[place] = h
+
+
+@wp.kernel
 def start_lists(
     # in
     key_in: wp.array[wp.int32],

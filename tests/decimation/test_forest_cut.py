@@ -68,6 +68,23 @@ def test_without_leaves_the_largest_cut(name, device):
         np.testing.assert_array_equal(forest.without(cut, left_out, none).kept, plain_cut(log, wanted, vertex_count))
 
 
+@pytest.mark.parametrize("name", ["bar", "torus"])
+def test_what_is_left_out_step_by_step_is_left_out_of_every_beginning(name, device):
+    ordered = ordered_mesh(name, device)
+    log = ordered.log
+    forest = CollapseForest(log, ordered.drops, len(ordered.root))
+    rng, none = np.random.default_rng(4), np.empty(0, dtype=np.int64)
+    left_out, chosen = np.zeros(len(log), dtype=bool), none
+    for count in (1, 5, 20):
+        newest = rng.choice(np.flatnonzero(~left_out), count, replace=False)
+        forest.leave_out(left_out, newest)
+        chosen = np.concatenate([chosen, newest])
+        prefix = np.arange(len(log)) < rng.integers(len(log) // 2, len(log))
+        cut = Cut(prefix, np.zeros(len(ordered.drops), dtype=bool))
+        expected = forest.without(cut, chosen, none)
+        np.testing.assert_array_equal(forest.without_all(cut, left_out).kept, expected.kept)
+
+
 def test_within_leaves_the_largest_cut_of_small_errors(device):
     ordered = ordered_mesh("bar", device)
     log, vertex_count = ordered.log, len(ordered.root)

@@ -8,7 +8,7 @@ import pytest
 from tests.support import meshes
 from warpqem import simplify
 from warpqem.decimation.forest_cut import CollapseForest, Cut, last_collapses
-from warpqem.decimation.level_roots import LevelRoots
+from warpqem.decimation.level_roots import LevelRoots, RootCounts
 from warpqem.decimation.pruning import DropRecord
 
 POINTS, FACES = meshes.grid(14, 14)
@@ -32,9 +32,29 @@ def cuts(log):
 def test_roots_of_levels_are_those_of_their_collapses(log):
     roots = LevelRoots(SimpleNamespace(log=log, root=log.roots(COUNT)))
     for _, cut in cuts(log):
-        found = roots.at(cut.kept)
-        np.testing.assert_array_equal(found, log.chosen(cut.kept).roots(COUNT))
-        assert found.dtype == np.int32
+        before = roots.root.copy()
+        changed, had = roots.at(cut.kept)
+        np.testing.assert_array_equal(roots.root, log.chosen(cut.kept).roots(COUNT))
+        np.testing.assert_array_equal(roots.index, roots.root)
+        np.testing.assert_array_equal(changed, np.flatnonzero(roots.root != before))
+        np.testing.assert_array_equal(had, before[changed])
+        assert roots.root.dtype == np.int32
+
+
+def test_counts_of_roots_follow_the_levels(log):
+    valence = np.bincount(FACES.ravel(), minlength=COUNT)
+    start = np.concatenate([[0], np.cumsum(valence)]).astype(np.int32)
+    ordered = SimpleNamespace(log=log, root=log.roots(COUNT))
+    counts = RootCounts(ordered.root, lambda: start)
+    roots = LevelRoots(ordered, counts)
+    for place, (_, cut) in enumerate(cuts(log)):
+        roots.at(cut.kept)
+        # Several changes may come before somebody asks.
+        if place % 2:
+            kept = np.unique(roots.root)
+            size, corners = counts.of(kept)
+            np.testing.assert_array_equal(size, np.bincount(roots.root)[kept])
+            np.testing.assert_array_equal(corners, np.bincount(roots.root, valence)[kept])
 
 
 def test_last_collapses_of_a_cut_are_the_last_of_those_kept(log):

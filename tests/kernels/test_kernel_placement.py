@@ -201,13 +201,15 @@ def test_repeated_items_of_a_row_are_summed():
     assert weight.tolist() == [7, 4, 4]
 
 
-def test_faces_of_clusters_are_the_repeated_items_of_their_corners(device):
+@pytest.mark.parametrize("is_counted", [False, True])
+def test_faces_of_clusters_are_the_repeated_items_of_their_corners(is_counted, device):
     faces = MESHES["closed"][1]
     rng = np.random.default_rng(3)
     cluster = rng.integers(-1, 4, size=faces.max() + 1).astype(np.int32)[faces].ravel()
     weight = rng.uniform(1, 2, faces.size).astype(np.float32)
     corner_cluster, corner_weight = wp.array(cluster, device=device), wp.array(weight, device=device)
-    listed = ClusterFaces(corner_cluster, corner_weight, 5)
+    count = int((cluster >= 0).sum()) if is_counted else None
+    listed = ClusterFaces(corner_cluster, corner_weight, 5, count)
     found = [array.numpy() for array in (listed.start, *listed.listed(int(listed.total.numpy()[0])))]
     expected = sum_repeated(cluster, np.arange(faces.size) // 3, weight, 5)
     for a, b in zip(found, expected, strict=True):

@@ -7,6 +7,7 @@ import pytest
 import warp as wp
 
 from tests.support import meshes
+from warpqem.kernels import face_lists as kernels
 from warpqem.measure import face_lists
 from warpqem.measure.face_lists import FacesAround, faces_at_clusters
 
@@ -66,3 +67,20 @@ def test_faces_at_some_vertices_come_once_each(count):
     is_there[RNG.permutation(VERTEX_COUNT)[:count]] = True
     found = FacesAround(FACES, VERTEX_COUNT).at(is_there)
     np.testing.assert_array_equal(found, np.flatnonzero(is_there[FACES].any(axis=1)))
+
+
+@pytest.mark.parametrize("room", [3, 100])
+def test_corners_in_clusters_are_listed_as_far_as_there_is_room(room, device):
+    cluster = CLUSTER[FACES.ravel()]
+    inside = np.flatnonzero(cluster >= 0)
+    there = wp.array(cluster, dtype=wp.int32, device=device)
+    mark = wp.empty(len(cluster), dtype=wp.int32, device=device)
+    wp.launch(kernels.mark_corners_in_clusters, len(cluster), [there], [mark], device=device)
+    np.testing.assert_array_equal(mark.numpy(), cluster >= 0)
+    before = wp.array(np.cumsum(cluster >= 0), dtype=wp.int32, device=device)
+    key, corner = (wp.full(room, -7, dtype=wp.int32, device=device) for _ in range(2))
+    wp.launch(kernels.key_corners_in_clusters, len(cluster), [there, before, room], [key, corner], device=device)
+    listed = inside[:room]
+    np.testing.assert_array_equal(corner.numpy()[: len(listed)], listed)
+    np.testing.assert_array_equal(key.numpy()[: len(listed)], cluster[listed])
+    assert (corner.numpy()[len(listed) :] == -7).all()

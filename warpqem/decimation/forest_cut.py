@@ -58,29 +58,43 @@ class CollapseForest:
         log: the collapses.
         drops: the pruned components.
         vertex_count: input vertices.
-
-    Attributes:
-        last: (V,) int32, the last collapse of all that went by each vertex, -1 for none.
     """
 
     def __init__(self, log: CollapseRecord, drops: DropRecord, vertex_count: int) -> None:
         self.log, self.drops, self._vertex_count = log, drops, vertex_count
+        self._before_ahead: Callable[[], npt.NDArray[np.int32]] | None = None
         self._ahead: Callable[[], tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]] | None = None
         self._all_removed = int(log.faces_removed.sum())
-        ends = [0, *(np.flatnonzero(np.diff(log.round_index)) + 1).tolist(), len(log)]
-        # The collapse before each one that went by the same vertex, (C,); -1 for none.
-        self._before = np.empty(len(log), dtype=np.int32)
-        self.last = np.full(vertex_count, -1, dtype=np.int32)
-        index = np.arange(len(log), dtype=np.int32)
-        # Of one round no two collapses share a vertex.
-        for first, last in itertools.pairwise(ends):
-            kept = log.kept[first:last]
-            self._before[first:last] = self.last.take(kept)
-            self.last[kept] = index[first:last]
 
     def prepare_ahead(self) -> None:
-        """Find in a thread what cuts without some collapses take, for those who know that they will ask for some."""
+        """Find in threads what cuts without some collapses take, for those who know that they will ask for some."""
+        self._before_ahead = done_ahead(lambda: self._preceding)
         self._ahead = done_ahead(lambda: (self._following, self._begun))
+
+    @functools.cached_property
+    def last(self) -> npt.NDArray[np.int32]:
+        """(V,), the last collapse of all that went by each vertex, -1 for none."""
+        last = np.full(self._vertex_count, -1, dtype=np.int32)
+        # Of several the last one counts.
+        last[self.log.kept] = np.arange(len(self.log), dtype=np.int32)
+        return last
+
+    @property
+    def _before(self) -> npt.NDArray[np.int32]:
+        return self._preceding if self._before_ahead is None else self._before_ahead()
+
+    @functools.cached_property
+    def _preceding(self) -> npt.NDArray[np.int32]:
+        """(C,), the collapse before each one that went by the same vertex; -1 for none."""
+        log, last = self.log, np.full(self._vertex_count, -1, dtype=np.int32)
+        before, index = np.empty(len(log), dtype=np.int32), np.arange(len(log), dtype=np.int32)
+        ends = [0, *(np.flatnonzero(np.diff(log.round_index)) + 1).tolist(), len(log)]
+        # Of one round no two collapses share a vertex.
+        for first, end in itertools.pairwise(ends):
+            kept = log.kept[first:end]
+            before[first:end] = last.take(kept)
+            last[kept] = index[first:end]
+        return before
 
     @property
     def _next(self) -> npt.NDArray[np.int32]:
@@ -138,6 +152,22 @@ class CollapseForest:
         kept[left_out], dropped[drops] = False, False
         return self._closed(kept, dropped, left_out)
 
+    def leave_out(self, left_out: npt.NDArray[np.bool_], collapses: np.ndarray) -> None:
+        """Add some collapses (indices) to those that are left out, (C,) bool, and all that need them."""
+        newest = collapses
+        left_out[newest] = True
+        while len(newest):
+            needing = self._needing(newest)
+            newest = needing[~left_out[needing]]
+            left_out[newest] = True
+
+    def without_all(self, cut: Cut, left_out: npt.NDArray[np.bool_]) -> Cut:
+        """A beginning of the order without what :meth:`leave_out` gave.
+
+        What needs a collapse comes after it, so that nothing else needs what is left out.
+        """
+        return self._restored(cut.kept & ~left_out, cut.dropped.copy())
+
     def with_parts(self, collapses: np.ndarray, generations: int) -> np.ndarray:
         """Collapses (indices), and so many generations of those that made their clusters."""
         found = newest = collapses
@@ -155,10 +185,18 @@ class CollapseForest:
     def _closed(self, kept: np.ndarray, dropped: np.ndarray, left_out: np.ndarray) -> Cut:
         """The largest cut within a choice of collapses and drops, of which some collapses (indices) are left out."""
         while len(left_out):
-            needing = np.unique(np.concatenate([self._next[left_out], self._joins_opposites_of(left_out)]))
-            needing = needing[needing < len(self.log)]
+            needing = self._needing(left_out)
             left_out = needing[kept[needing]]
             kept[left_out] = False
+        return self._restored(kept, dropped)
+
+    def _needing(self, collapses: np.ndarray) -> np.ndarray:
+        """The collapses that need some of them at once (indices), each once."""
+        needing = np.unique(np.concatenate([self._next[collapses], self._joins_opposites_of(collapses)]))
+        return needing[needing < len(self.log)]
+
+    def _restored(self, kept: np.ndarray, dropped: np.ndarray) -> Cut:
+        """A cut whose pruned components are those of which no collapse is left out."""
         if len(self.drops):
             # What was pruned was a component as far as its collapses went.
             owner = self.drops.vertex_drop[self.log.kept]

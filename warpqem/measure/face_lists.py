@@ -20,6 +20,8 @@ __all__ = ["FaceLists", "FacesAround", "faces_at_clusters", "uploaded"]
 
 # One of so many vertices, or more, are looked for at the corners of all faces, which needs no lists.
 MANY = 4
+# Vertices whose faces are looked up at once: new memory for all of them takes longer than the rest.
+AT_ONCE = 4096
 
 
 class FaceLists:
@@ -67,8 +69,10 @@ class FacesAround(FaceLists):
         _ = self._start, self._face
 
     def _wait(self) -> None:
-        if self._ahead is not None:
-            self._ahead()
+        # Several threads may ask.
+        ahead = self._ahead
+        if ahead is not None:
+            ahead()
             self._ahead = None
 
     @property
@@ -108,11 +112,12 @@ class FacesAround(FaceLists):
 
     def of(self, vertex: npt.NDArray[np.integer]) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int64]]:
         """The faces at some vertices, and of which of them (n,) each is, one after another."""
-        first = self.start.take(vertex)
-        count = self.start[1:].take(vertex) - first
-        row = np.repeat(np.arange(len(vertex)), count)
-        place = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count) + first[row]
-        return self.face.take(place), row
+        found, count = self._one_after_another(vertex)
+        return found, np.repeat(np.arange(len(vertex)), count)
+
+    def repeated(self, vertex: npt.NDArray[np.integer]) -> npt.NDArray[np.int32]:
+        """The faces at some vertices, one after another, as often as they have one of these."""
+        return self._one_after_another(vertex)[0]
 
     def at(self, is_there: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
         """The faces that have one of some vertices, (V,) bool, at least; ascending."""
@@ -120,8 +125,20 @@ class FacesAround(FaceLists):
         if MANY * len(vertex) > self._vertex_count:
             return np.flatnonzero(any_corner(is_there[self.corner_vertex.reshape(-1, 3)]))
         is_found = np.zeros(len(self.corner_vertex) // 3, dtype=bool)
-        is_found[self.of(vertex)[0]] = True
+        for first in range(0, len(vertex), AT_ONCE):
+            is_found[self._one_after_another(vertex[first : first + AT_ONCE])[0]] = True
         return np.flatnonzero(is_found)
+
+    def _one_after_another(
+        self, vertex: npt.NDArray[np.integer]
+    ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+        """The faces at some vertices (n,), and how many each of them has, (n,)."""
+        first = self.start.take(vertex)
+        count = self.start[1:].take(vertex) - first
+        before = np.cumsum(count, dtype=np.int32) - count
+        place = np.repeat(first - before, count)
+        place += np.arange(len(place), dtype=np.int32)
+        return self.face.take(place), count
 
     def _made_on(self, device: str) -> tuple[wp.array, wp.array]:
         if device_traits(device).own_memory:

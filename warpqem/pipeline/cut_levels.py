@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import warp as wp
 
+from warpqem.decimation.cluster_states import ClusterLevel
 from warpqem.decimation.decimate import DecimatedMesh
 from warpqem.decimation.forest_cut import Cut
 from warpqem.frames.device_frames import take_vertices, to_device
@@ -14,6 +15,7 @@ from warpqem.measure.face_lists import FacesAround
 from warpqem.measure.unit_frames import ChangingBlock, UnitBlock, UnitFrames
 from warpqem.pipeline.prepare import Prepared
 from warpqem.place.block_placer import pack_block
+from warpqem.place.cluster_parts import ClusterParts, LevelParts
 from warpqem.place.clusters import ClusterPlacer
 from warpqem.runtime import new_arrays
 
@@ -44,14 +46,26 @@ class CutLevel:
         ordered: its topology.
         kept: (C,) int32, the input vertices that its clusters go by, ascending.
         last: (V,) int, the last collapse of each cluster, see :func:`warpqem.decimation.forest_cut.last_collapses`.
+        is_kept: (V,) bool, the same vertices.
+        found: what is known of it, None for no more than that.
+        root_index: (V,) ``ordered.root`` as NumPy takes indices, which else makes a copy each time.
     """
 
     def __init__(
-        self, choice: Choice, ordered: DecimatedMesh, last: np.ndarray, root_there: wp.array | None = None
+        self,
+        choice: Choice,
+        ordered: DecimatedMesh,
+        last: np.ndarray,
+        found: ClusterLevel | None = None,
     ) -> None:
-        self.choice, self.ordered, self.last, self._root_there = choice, ordered, last, root_there
-        self.is_kept = np.zeros(len(ordered.root), dtype=bool)
-        self.is_kept[ordered.faces] = True
+        self.choice, self.ordered, self.last, self.found = choice, ordered, last, found
+        self._root_there = None if found is None else found.root_there
+        if found is None:
+            self.root_index = ordered.root.astype(np.intp)
+            self.is_kept = np.zeros(len(ordered.root), dtype=bool)
+            self.is_kept[ordered.faces] = True
+        else:
+            self.root_index, self.is_kept = found.root_index, found.is_kept
         self.kept = np.flatnonzero(self.is_kept).astype(np.int32)
 
     @property
@@ -64,8 +78,10 @@ class CutLevel:
 
     def unmoved(self, before: CutLevel) -> np.ndarray:
         """(V,) bool, kept vertices whose clusters and placement are those of another level."""
-        unmoved: np.ndarray = (self.last == before.last) & (self.choice.loose == before.choice.loose)
-        return unmoved & before.is_kept
+        unmoved: np.ndarray = (self.last == before.last) & before.is_kept
+        if self.choice.loose is not before.choice.loose:
+            unmoved &= self.choice.loose == before.choice.loose
+        return unmoved
 
 
 class LevelFrames:
@@ -77,6 +93,7 @@ class LevelFrames:
         about: (n, V, 3) float32, its frames about its origin.
         own: the same in the caller's coordinates.
         units: what brings them to unit size.
+        parts: finds what belongs to clusters of levels on the device; None for the host.
 
     Attributes:
         reference: the input at unit size.
@@ -85,8 +102,10 @@ class LevelFrames:
     """
 
     def __init__(
-        self, work: Prepared, around: FacesAround, about: np.ndarray, own: np.ndarray, units: UnitFrames
-    ) -> None:
+        self, work: Prepared, around: FacesAround, about: np.ndarray, own: np.ndarray, units: UnitFrames,
+        parts: LevelParts | None = None,
+    ) -> None:  # fmt: skip
+        self._parts = parts
         self._work, self._around, self._about = work, around, to_device(about, work.device)
         self._packed = pack_block(work.mesh, self._about, work.device)
         self.reference = UnitBlock(own, units, work.device)
@@ -105,7 +124,7 @@ class LevelFrames:
         mesh = self._work.mesh
         moved = level.kept if before is None else level.kept[~level.unmoved(before)[level.kept]]
         if len(moved):
-            placer = placer_of(self._work, self._around, level, moved)
+            placer = placer_of(self._work, self._around, level, moved, self._parts)
             self._put(moved, placer.place(mesh, self._about, self._packed).restored(mesh))
         return moved
 
@@ -125,18 +144,33 @@ class LevelFrames:
         return points
 
 
-def placer_of(work: Prepared, around: FacesAround, level: CutLevel, kept: np.ndarray) -> ClusterPlacer:
-    """What places the clusters of a level that go by some vertices (M,)."""
+def placer_of(
+    work: Prepared, around: FacesAround, level: CutLevel, kept: np.ndarray, parts: LevelParts | None = None
+) -> ClusterPlacer:
+    """What places the clusters of a level that go by some vertices (M,); ``parts`` finds what belongs to them."""
+    ordered = level.ordered
+    if parts is not None:
+        found = parts.of(ordered.root, level.root_there, kept)
+    else:
+        found, ordered = _parts_of(work, around, level, kept)
+    settings = replace(work.place_settings, loose=level.choice.loose)
+    return ClusterPlacer(
+        ordered, kept, found, work.quadric_scale, work.pinned, settings, work.device, work.quadric_sums
+    )
+
+
+def _parts_of(
+    work: Prepared, around: FacesAround, level: CutLevel, kept: np.ndarray
+) -> tuple[ClusterParts, DecimatedMesh]:
+    """What belongs to the same clusters, found on the host, and the level with the faces that this takes."""
     ordered, faces = level.ordered, work.mesh.faces
     index = np.full(len(work.mesh.used), -1, dtype=np.int32)
     index[kept] = np.arange(len(kept), dtype=np.int32)
-    cluster = index.take(ordered.root)
+    cluster = index.take(level.root_index)
     if work.quadric_sums is None:
         # Only faces around count.
         near = around.at(cluster >= 0)
-        faces = faces[near]
-        ordered = replace(ordered, constrained=ordered.constrained.reshape(-1, 3)[near].ravel())
-    settings = replace(work.place_settings, loose=level.choice.loose)
-    return ClusterPlacer(
-        faces, ordered, kept, cluster, work.quadric_scale, work.pinned, settings, work.device, work.quadric_sums
-    )
+        faces = faces.take(near, axis=0)
+        ordered = replace(ordered, constrained=ordered.constrained.reshape(-1, 3).take(near, axis=0).ravel())
+    parts = ClusterParts.of(faces, ordered, cluster, len(kept), work.quadric_scale, work.device)
+    return parts, ordered

@@ -20,7 +20,7 @@ from warpqem.decimation.cluster_states import ClusterStates
 from warpqem.decimation.collapse_nodes import NodeRecorder
 from warpqem.decimation.decimate import DecimatedMesh
 from warpqem.decimation.forest_cut import CollapseForest, Cut
-from warpqem.decimation.level_faces import LevelFaces
+from warpqem.decimation.level_roots import RootCounts
 from warpqem.decimation.order_steps import OrderSteps
 from warpqem.frames.device_frames import DeviceSink, to_device
 from warpqem.frames.stream import ArrayFrames, ArraySink, counted_frames
@@ -33,6 +33,7 @@ from warpqem.pipeline.key_frames import looked_frames
 from warpqem.pipeline.level_distances import LevelDistances
 from warpqem.pipeline.prepare import ORDER_END, Prepared, spare_count
 from warpqem.pipeline.result import with_frames, without_frames
+from warpqem.place.cluster_parts import LevelParts
 from warpqem.runtime.device import device_traits
 
 __all__ = ["exchanged", "faces_ahead", "order_with_spare", "spare_faces"]
@@ -118,6 +119,19 @@ class _Search:
         self._whole, self._target = work, target_faces
         log, drops = ordered.log, ordered.drops
         self._around = around = FacesAround(work.mesh.faces, len(ordered.root)) if around is None else around
+        self._loose = np.ones(len(ordered.root), dtype=bool)
+        self._forest = CollapseForest(log, drops, len(ordered.root))
+        own_memory = device_traits(work.device).own_memory
+        by_device = own_memory and work.quadric_sums is None
+        counts = RootCounts(ordered.root, lambda: around.start) if by_device else None
+        self._states = ClusterStates(work.mesh.faces, ordered, self._forest, around.repeated, counts)
+        self._steps = OrderSteps(log, drops, len(work.mesh.faces))
+        self._step = self._first_step = self._steps.to(target_faces)
+        self._first_cut = self._filled(self._prefix())
+        if own_memory:
+            self._forest.prepare_ahead()
+            self._states.find_ahead(self._first_cut)
+        self._parts = parts = None if counts is None else _parts_there(work, ordered, around, counts)
         looked, keys = looked_frames(work.key_frames, np.flatnonzero(counted_frames(work.mesh.source)))
         mesh = _clip(work.mesh, looked)
         count = len(looked)
@@ -125,31 +139,25 @@ class _Search:
         units = UnitFrames(np.broadcast_to(mesh.centre + mesh.origin, (count, 3)), np.full(count, mesh.diagonal))
         every = slice(0, count)
         points = mesh.source.read(every)
-        self._frames = LevelFrames(self._work, around, mesh.points(every), points, units)
-        self._forest = CollapseForest(log, drops, len(ordered.root))
-        if device_traits(work.device).own_memory:
-            self._forest.prepare_ahead()
+        self._frames = LevelFrames(self._work, around, mesh.points(every), points, units, parts)
         # The last place is of vertices without a collapse.
         self._error = np.append(log.error, np.float32(-1.0))
-        level_faces = LevelFaces(work.mesh.faces, around.at, ordered)
-        self._states = ClusterStates(work.mesh.faces, ordered, self._forest, level_faces)
-        self._steps = OrderSteps(log, drops, len(work.mesh.faces))
-        self._step = self._first_step = self._steps.to(target_faces)
         # Where pruning alone led here there are no collapses.
         limit = SPOT * float(log.recent_errors_at(np.array([len(log) - 1]))[0]) if len(log) else 0.0
         self._distances = LevelDistances(self._work, self._frames, around, limit)
 
     def run(self, progress: Progress | None) -> DecimatedMesh:
         """The best of the cuts."""
-        left_out = np.empty(0, dtype=np.int64)
+        # Of these no level has any.
+        left_out = np.zeros(len(self._forest.log), dtype=bool)
         level = self._first_level()
         largest = least = self._distances.renew(level, None)
         best = level
         for _ in range(ROUNDS):
-            chosen = np.setdiff1d(self._collapses_at_spots(level, largest), left_out)
+            chosen = self._collapses_at_spots(level, largest)
             if not len(chosen):
                 break
-            left_out = np.union1d(left_out, chosen)
+            self._forest.leave_out(left_out, chosen)
             finer = self._finer(left_out)
             if finer is None:
                 break
@@ -166,7 +174,7 @@ class _Search:
 
     def _first_level(self) -> CutLevel:
         """The order's own level, placed and refitted roughly."""
-        level = self._level(self._filled(self._prefix()))
+        level = self._level(self._first_cut)
         placer = self._work.placer(level.ordered, refit=True)
         device = self._work.device
         array = DeviceSink(device) if device_traits(device).own_memory else ArraySink()
@@ -202,10 +210,9 @@ class _Search:
         return cut
 
     def _finer(self, left_out: np.ndarray) -> CutLevel | None:
-        """The level of the shortest beginning of the order that has few enough faces without some collapses."""
-        none = np.empty(0, dtype=np.int64)
+        """The level of the shortest beginning of the order that has few enough faces without collapses (C,) bool."""
         while True:
-            cut = self._forest.without(self._prefix(), left_out, none)
+            cut = self._forest.without_all(self._prefix(), left_out)
             excess = len(self._whole.mesh.faces) - self._forest.faces_removed(cut) - self._target
             if excess <= 0:
                 level = self._level(self._filled(cut))
@@ -217,11 +224,13 @@ class _Search:
                 return None
             self._step = min(self._step + max(1, excess // FACES_PER_COLLAPSE), len(self._steps))
 
-    def _level(self, cut: Cut) -> CutLevel:
-        """A level whose clusters are placed by their planes, but for those that ordering left."""
-        ordered = self._states.at(cut)
-        loose = np.ones(len(ordered.root), dtype=bool)
-        return CutLevel(Choice(cut, loose), ordered, self._forest.last_collapses(cut), self._states.root_there)
+    def _level(self, cut: Cut, known: CutLevel | None = None) -> CutLevel:
+        """A level whose clusters are placed by their planes, but for those that ordering left.
+
+        ``known`` is one of the same cut, where it is the last.
+        """
+        found = self._states.at(cut, None if known is None else known.found)
+        return CutLevel(Choice(cut, self._loose), found.ordered, found.last, found)
 
     def _collapses_at_spots(self, level: CutLevel, largest: float) -> np.ndarray:
         """The last collapse of the largest error at each of the furthest spots."""
@@ -233,15 +242,21 @@ class _Search:
 
     def _settled(self, best: CutLevel) -> DecimatedMesh:
         """A level, with its new clusters where their planes have them in the key frames, for what holds them."""
-        level, mesh, device = self._level(best.choice.cut), self._whole.mesh, self._whole.device
+        level, mesh, device = self._level(best.choice.cut, best), self._whole.mesh, self._whole.device
         vertex = self._states.made(level.kept)
         if len(vertex):
             clip = _clip(mesh, self._whole.key_frames)
             points = to_device(clip.points(slice(0, clip.frame_count)), device)
             for _ in range(PLACED_TIMES):
-                placed = placer_of(self._whole, self._around, level, vertex).place(clip, points)
+                placed = placer_of(self._whole, self._around, level, vertex, self._parts).place(clip, points)
                 self._states.move(vertex, placed.points, level.ordered)
         return level.ordered
+
+
+def _parts_there(work: Prepared, ordered: DecimatedMesh, around: FacesAround, counts: RootCounts) -> LevelParts:
+    """What finds the parts of clusters on the device."""
+    corner_vertex = around.corners(work.device)
+    return LevelParts(work.mesh.faces, corner_vertex, ordered, work.quadric_scale, counts.of, work.device)
 
 
 def _clip(mesh: AnimatedMesh, frames: np.ndarray) -> AnimatedMesh:

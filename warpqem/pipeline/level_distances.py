@@ -57,7 +57,8 @@ class LevelDistances:
         self._far_large = np.empty(0, dtype=np.float32)
         self._far_face = np.zeros(face_count, dtype=np.float32)
         self._far_kept = np.zeros(vertex_count, dtype=np.float32)
-        self._corners = np.full((face_count, 3), -1, dtype=np.int32)
+        # Of these the level's own faces, and its vertices.
+        self._far_own = self._far_corner = np.empty(0, dtype=np.float32)
 
     def renew(self, level: CutLevel, moved: np.ndarray | None) -> float:
         """The largest distance of a level, of which some vertices moved since the last one; None for all.
@@ -71,15 +72,15 @@ class LevelDistances:
         if moved is None and not is_listed:
             self._choose_large(level)
         changed = self._changed(level, moved)
+        faces, face = ordered.faces.take(changed, axis=0), ordered.face_map.take(changed)
         near = np.zeros(len(ordered.root), dtype=bool)
-        near[ordered.faces[changed]] = True
-        is_near, here = near.take(ordered.root), self._here(level)
+        near[faces.ravel()] = True
+        is_near, here = near.take(level.root_index), self._here(level)
         around = FacesAround(ordered.faces, len(ordered.root))
         side = Side(level_lanes, around, around)
         vertex = np.flatnonzero(is_near & here)
         vertices = InputVertices(input_lanes, side, vertex, ordered.root[vertex])
         there = self._input_side(level, near)
-        faces, face = ordered.faces[changed], ordered.face_map[changed]
         own = SampledFaces(level_lanes, faces, faces, there, around)
         kept = SimplifiedVertices(level_lanes, there, np.flatnonzero(near), around)
         places = vertices, own, kept
@@ -88,9 +89,10 @@ class LevelDistances:
         else:
             found = self._renew_known(level, places, side, here, is_near, moved is None)
         self._far_vertex[vertex], self._far_face[face], self._far_kept[kept.vertex] = found
-        # Distances are not below 0.
-        of_vertices = self._far_vertex * here
-        parts = of_vertices, self._far_large, self._far_face.take(ordered.face_map), self._far_kept.take(level.kept)
+        # What is not there now is looked at again when it is.
+        self._far_vertex *= here
+        self._far_own, self._far_corner = self._far_face.take(ordered.face_map), self._far_kept.take(level.kept)
+        parts = self._far_vertex, self._far_large, self._far_own, self._far_corner
         return max(self.limit, *(float(part.max(initial=0.0)) for part in parts))
 
     def _renew_known(
@@ -157,21 +159,16 @@ class LevelDistances:
     def _changed(self, level: CutLevel, moved: np.ndarray | None) -> np.ndarray:
         """The faces of a level that are not what they were."""
         ordered = level.ordered
-        face = ordered.face_map
         if moved is None:
-            self._corners[face] = ordered.faces
-            return np.arange(len(face))
-        changed = any_corner(self._corners.take(face, axis=0) != ordered.faces)
-        differs = np.flatnonzero(changed)
-        self._corners[face[differs]] = ordered.faces[differs]
+            return np.arange(len(ordered.faces))
+        # A face with other corners has one at a cluster with other vertices, which moved.
         is_moved = np.zeros(len(ordered.root), dtype=bool)
         is_moved[moved] = True
-        changed |= any_corner(is_moved.take(ordered.faces))
-        return np.flatnonzero(changed)
+        return np.flatnonzero(any_corner(is_moved.take(ordered.faces)))
 
     def _here(self, level: CutLevel) -> np.ndarray:
         """(V,) bool, input vertices that a level has something of."""
-        here: np.ndarray = level.is_kept.take(level.ordered.root) & self._mesh.used
+        here: np.ndarray = level.is_kept.take(level.root_index) & self._mesh.used
         return here
 
     def _distances(self, *places: Places) -> list[np.ndarray]:
@@ -188,11 +185,10 @@ class LevelDistances:
         return input_side(lanes, self._around, ordered.root, count, self._around.at(next_to[ordered.root]))
 
     def clusters_at(self, level: CutLevel, limit: float) -> np.ndarray:
-        """(m, 3) int32, three clusters at each place that is further away than a limit."""
+        """(m, 3) int32, three clusters at each place of the level looked at last that is further away than a limit."""
         root, faces = level.ordered.root, self._mesh.faces
-        vertex = np.flatnonzero(self._far_vertex > limit)
-        face, _ = self._around.of(vertex[level.is_kept[root[vertex]] & self._mesh.used[vertex]])
+        face, _ = self._around.of(np.flatnonzero(self._far_vertex > limit))
         large = self._large[self._far_large > limit]
-        own = level.ordered.faces[self._far_face.take(level.ordered.face_map) > limit]
-        kept = level.kept[self._far_kept.take(level.kept) > limit]
+        own = level.ordered.faces.take(np.flatnonzero(self._far_own > limit), axis=0)
+        kept = level.kept[self._far_corner > limit]
         return np.concatenate([root[faces[face]], root[faces[large]], own, np.repeat(kept[:, None], 3, axis=1)])

@@ -7,8 +7,10 @@ import warp as wp
 
 from warpqem.decimation.adjacency import build_adjacency
 from warpqem.kernels import cluster_rows as kernels
+from warpqem.kernels import face_lists
 from warpqem.mesh.grouping import order_by
 from warpqem.runtime import new_arrays
+from warpqem.runtime.launches import launch
 from warpqem.runtime.part_launches import launch_in_parts, rows_of, starts_of
 
 __all__ = [
@@ -70,17 +72,25 @@ class ClusterFaces:
         corner_cluster: (3N,) int32 on the device, the cluster of each corner; -1 for a corner to leave out.
         corner_weight: (3N,) float32.
         cluster_count: clusters C.
+        corner_count: corners that have a cluster, where the host knows how many and a device is to sort no others; None
+            for any number.
 
     Attributes:
         start: (C+1,) int32, where the faces of each cluster begin.
         total: (1,) int32 on the device, how many there are.
     """
 
-    def __init__(self, corner_cluster: wp.array, corner_weight: wp.array, cluster_count: int) -> None:
+    def __init__(
+        self, corner_cluster: wp.array, corner_weight: wp.array, cluster_count: int, corner_count: int | None = None
+    ) -> None:
         device = corner_cluster.device
-        adjacency = build_adjacency(corner_cluster, cluster_count)
+        if corner_count is None:
+            adjacency = build_adjacency(corner_cluster, cluster_count)
+            start, corner = adjacency.start, adjacency.corner
+        else:
+            start, corner = _sorted_corners(corner_cluster, cluster_count, corner_count)
         count = new_arrays.zeros(cluster_count + 1, dtype=wp.int32, device=device)
-        self._lists, self._corner_weight = [starts_of(adjacency.start), adjacency.corner], corner_weight
+        self._lists, self._corner_weight = [starts_of(start), corner], corner_weight
         launch_in_parts(kernels.count_faces, cluster_count, self._lists, [rows_of(count)], device=device)
         self.start = new_arrays.like(count)
         wp.utils.array_scan(count, self.start, inclusive=False)
@@ -97,6 +107,29 @@ class ClusterFaces:
         inputs = [*self._lists, self._corner_weight, starts_of(self.start)]
         launch_in_parts(kernels.list_faces, len(self.start) - 1, inputs, [face, weight], device=device)
         return face, weight
+
+
+def _sorted_corners(corner_cluster: wp.array, cluster_count: int, corner_count: int) -> tuple[wp.array, wp.array]:
+    """Where the corners of each cluster begin, (C+1,) int32, and these, ascending in each: a sort on the device.
+
+    Args:
+        corner_cluster: (3N,) int32, -1 for none.
+        cluster_count: clusters C.
+        corner_count: how many corners have one.
+    """
+    device, every = corner_cluster.device, len(corner_cluster)
+    before = new_arrays.empty(every, dtype=wp.int32, device=device)
+    launch(face_lists.mark_corners_in_clusters, every, [corner_cluster], [before], device=device)
+    wp.utils.array_scan(before, before, inclusive=True)
+    # A sort works between the two halves.
+    key, corner = (new_arrays.empty(2 * corner_count, dtype=wp.int32, device=device) for _ in range(2))
+    inputs = [corner_cluster, before, corner_count]
+    launch(face_lists.key_corners_in_clusters, every, inputs, [key, corner], device=device)
+    if corner_count:
+        wp.utils.radix_sort_pairs(key, corner, corner_count, 0, cluster_count.bit_length())
+    start = new_arrays.empty(cluster_count + 1, dtype=wp.int32, device=device)
+    launch(face_lists.start_lists, cluster_count + 1, [key, corner_count], [start], device=device)
+    return start, corner
 
 
 def list_faces_at(corner_cluster: np.ndarray, cluster_count: int, device: str) -> tuple[np.ndarray, np.ndarray]:

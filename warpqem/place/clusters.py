@@ -14,9 +14,10 @@ from warpqem.decimation.quadric_sums import QuadricSums
 from warpqem.kernels import cluster_rows as kernels
 from warpqem.mesh.mesh_input import AnimatedMesh
 from warpqem.mesh.seams import half_edge_ends
-from warpqem.place.anchors import Clusters, fit_anchors, nearest_anchors
+from warpqem.place.anchors import fit_anchors, nearest_anchors
 from warpqem.place.block_placer import BlockPlacer, ClusterData, PlacedBlocks
-from warpqem.place.cluster_rows import ClusterFaces, match_keys, sum_repeated
+from warpqem.place.cluster_parts import ClusterParts
+from warpqem.place.cluster_rows import match_keys, sum_repeated
 from warpqem.place.softness import chosen_stiffness
 from warpqem.place.stiffness import (
     MIN_REGULARISATION,
@@ -65,10 +66,9 @@ class ClusterPlacer:
     """Places one vertex for each of some disjoint clusters of input vertices, in any block of frames.
 
     Args:
-        faces: (N, 3) int32, the input's faces.
         ordered: result of decimation; at each of ``kept``, its state when that vertex stood for its cluster.
         kept: (C,) int32, the input vertex that each cluster goes by.
-        cluster: (V,) int32, the cluster of each input vertex, -1 where there is none.
+        parts: the clusters, and what belongs to them.
         quadric_scale: (V,) float32, scale of each input vertex's quadric.
         pinned: (V,) bool, input vertices that keep their position, beside those that are not manifold.
         settings: see :class:`PlaceSettings`.
@@ -92,10 +92,9 @@ class ClusterPlacer:
 
     def __init__(
         self,
-        faces: np.ndarray,
         ordered: DecimatedMesh,
         kept: np.ndarray,
-        cluster: np.ndarray,
+        parts: ClusterParts,
         quadric_scale: np.ndarray,
         pinned: np.ndarray,
         settings: PlaceSettings,
@@ -106,14 +105,12 @@ class ClusterPlacer:
         self.vertex_count = len(kept)
         non_manifold = ordered.non_manifold[kept]
         pinned = pinned[kept] | non_manifold
-        clusters = Clusters.of(cluster, ordered.line_rank, len(kept), device)
+        clusters, faces, corner_vertex = parts.clusters, parts.faces, parts.corner_vertex
         size = clusters.size
         stiffness, regularisation = stiffness_by_size(size, settings.epsilon, settings.regularisation)
         if settings.loose is not None:
-            loose = np.unique(cluster[settings.loose & (cluster >= 0)])
+            loose = _loose_clusters(settings.loose, parts)
             stiffness[loose], regularisation[loose] = MIN_STIFFNESS, MIN_REGULARISATION
-        corner_vertex = new_arrays.uploaded(faces.ravel(), dtype=wp.int32, device=device, copy=False)
-        own_faces = _own_faces(corner_vertex, clusters.cluster, quadric_scale, len(kept))
         if settings.endpoint:
             anchors = nearest_anchors(ordered, clusters)
             solved, held = np.zeros(len(kept), dtype=np.int32), np.zeros(len(kept), dtype=bool)
@@ -124,13 +121,12 @@ class ClusterPlacer:
         self.nearest = anchors.finish(kept, held)
         # Corners of seams keep the place that their own planes and seams give them.
         self.free = (solved == 1) & (clusters.highest_rank != 2)
-        half_edge = np.flatnonzero(ordered.constrained)
-        kind = ordered.constrained[half_edge]
+        half_edge, kind = parts.half_edge, parts.kind
         self.seam = half_edge[kind >= 2]
         # Both their faces have them.
-        self.on_seam = _holding(faces.ravel()[self.seam], cluster, len(kept))
+        self.on_seam = _holding(parts.owner(faces.ravel()[self.seam]), len(kept))
         self.border = half_edge[kind % 2 == 1]
-        self.is_open = _holding(half_edge_ends(faces, self.border), cluster, len(kept)) | non_manifold
+        self.is_open = _holding(parts.owner(half_edge_ends(faces, self.border)), len(kept)) | non_manifold
         weight = np.where(kind == 1, CONSTRAINT_WEIGHT[1], SEAM_WEIGHT)
         self.clusters = ClusterData(
             corner_vertex=corner_vertex,
@@ -138,8 +134,8 @@ class ClusterPlacer:
                 "member_start": anchors.start,
                 "member": anchors.vertex,
                 "member_weight": anchors.weight,
-                **_face_rows(own_faces, corner_vertex),
-                **_other_planes(faces, half_edge, weight, cluster, len(kept), quadric_scale, sums),
+                **_face_rows(parts),
+                **_other_planes(parts, weight, len(kept), quadric_scale, sums),
                 "solved": solved,
                 "stiffness": stiffness,
             },
@@ -171,31 +167,27 @@ class ClusterPlacer:
         return self._blocks.place(mesh, points, packed)
 
 
-def _holding(vertex: np.ndarray, cluster: np.ndarray, cluster_count: int) -> np.ndarray:
-    """(C,) bool, clusters that hold one of some input vertices."""
-    owner = cluster[vertex]
+def _loose_clusters(loose: np.ndarray, parts: ClusterParts) -> np.ndarray | slice:
+    """The clusters of input vertices (V,) bool that are placed loosely; none is without a vertex."""
+    if loose.all():
+        return slice(None)
+    owner = parts.owner(np.flatnonzero(loose))
+    return owner[owner >= 0]
+
+
+def _holding(owner: np.ndarray, cluster_count: int) -> np.ndarray:
+    """(C,) bool, clusters that hold one of some input vertices, of which these are the owners; -1 for none."""
     holding = np.zeros(cluster_count, dtype=bool)
     holding[owner[owner >= 0]] = True
     return holding
 
 
-def _own_faces(
-    corner_vertex: wp.array, cluster: wp.array, quadric_scale: np.ndarray, cluster_count: int
-) -> ClusterFaces:
-    """Faces of each cluster, each once, weighted by its corners there."""
-    device, corner_count = corner_vertex.device, len(corner_vertex)
-    corner_cluster = new_arrays.empty(corner_count, dtype=wp.int32, device=device)
-    corner_weight = new_arrays.empty(corner_count, dtype=wp.float32, device=device)
-    scale = new_arrays.uploaded(quadric_scale, dtype=wp.float32, device=device, copy=False)
-    inputs, outputs = [rows_of(corner_vertex), cluster, scale], [rows_of(corner_cluster), rows_of(corner_weight)]
-    launch_in_parts(kernels.label_corners, corner_count, inputs, outputs, device=device)
-    return ClusterFaces(corner_cluster, corner_weight, cluster_count)
-
-
-def _face_rows(faces: ClusterFaces, corner_vertex: wp.array) -> dict[str, wp.array]:
+def _face_rows(parts: ClusterParts) -> dict[str, wp.array]:
     """What the rows of the faces of clusters are; where the host would wait for how many, with room for any number."""
+    faces, corner_vertex, room = parts.own_faces, parts.corner_vertex, parts.room
     device = corner_vertex.device
-    room = len(corner_vertex) if device_traits(str(device)).own_memory else int(faces.total.numpy()[0])
+    if room is None:
+        room = len(corner_vertex) if device_traits(str(device)).own_memory else int(faces.total.numpy()[0])
     face, weight = faces.listed(room)
     corners = new_arrays.empty(room, dtype=wp.vec3i, device=device)
     if room:
@@ -205,10 +197,8 @@ def _face_rows(faces: ClusterFaces, corner_vertex: wp.array) -> dict[str, wp.arr
 
 
 def _other_planes(
-    faces: np.ndarray,
-    half_edge: np.ndarray,
+    parts: ClusterParts,
     weight: np.ndarray,
-    cluster: np.ndarray,
     cluster_count: int,
     quadric_scale: np.ndarray,
     sums: QuadricSums | None,
@@ -217,12 +207,13 @@ def _other_planes(
 
     Faces and half-edges at other vertices that ``sums`` names are rows of their own, or have a larger weight.
     """
+    faces, half_edge = parts.faces, parts.half_edge
     corner_vertex = faces.ravel()
     ends = np.concatenate([half_edge, half_edge - half_edge % 3 + (half_edge + 1) % 3])
     end_vertex = corner_vertex[ends]
     # Cluster, half-edge and weight.
     border = (
-        cluster[end_vertex],
+        parts.owner(end_vertex),
         np.concatenate([half_edge, half_edge]),
         np.concatenate([weight, weight]) * quadric_scale[end_vertex],
     )
@@ -232,7 +223,7 @@ def _other_planes(
         np.empty(0),
     )
     if sums is not None:
-        owner = cluster[sums.entry_row]
+        owner = parts.owner(sums.entry_row)
         entry, corner = match_keys(sums.vertex, corner_vertex)
         other = (owner[entry], corner // 3, sums.weight[entry] * quadric_scale[corner_vertex[corner]])
         entry, end = match_keys(sums.vertex, end_vertex)

@@ -13,6 +13,7 @@ from warpqem.kernels.lanes import width_of
 from warpqem.mesh.indexing import put_at, taken
 from warpqem.mesh.mesh_input import AnimatedMesh
 from warpqem.place.block_placer import PlacedBlocks, PlacedFrames
+from warpqem.place.cluster_parts import ClusterParts
 from warpqem.place.clusters import ClusterPlacer, PlaceSettings
 from warpqem.runtime import new_arrays
 from warpqem.runtime.launches import launch
@@ -55,7 +56,8 @@ class Placer(ClusterPlacer):
         index[kept] = np.arange(len(kept), dtype=np.int32)
         self.vertex_map = taken(index, ordered.root)
         self.faces = index.take(ordered.faces)
-        super().__init__(faces, ordered, kept, self.vertex_map, quadric_scale, pinned, settings, device, sums)
+        parts = ClusterParts.of(faces, ordered, self.vertex_map, len(kept), quadric_scale, device)
+        super().__init__(ordered, kept, parts, quadric_scale, pinned, settings, device, sums)
         self._out_corner_vertex = new_arrays.uploaded(self.faces.ravel(), dtype=wp.int32, device=device)
 
     def count_flips(self, placed: PlacedBlocks) -> wp.array:

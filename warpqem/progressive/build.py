@@ -17,6 +17,7 @@ from warpqem.frames.stream import read_ahead
 from warpqem.options import MethodKeywords, read_keywords
 from warpqem.pipeline.prepare import ORDER_END, Prepared, prepare
 from warpqem.pipeline.result import written_faces
+from warpqem.place.cluster_parts import ClusterParts
 from warpqem.place.clusters import ClusterPlacer
 from warpqem.progressive.progressive_mesh import ProgressiveMesh
 from warpqem.progressive.vertex_splits import SplitTopology
@@ -102,10 +103,11 @@ def _place_all(work: Prepared, levels: OrderedLevels, topology: SplitTopology, p
         (
             row_of_collapse[merged.collapse],
             ClusterPlacer(
-                mesh.faces,
                 merged.ordered,
                 merged.kept,
-                merged.cluster,
+                ClusterParts.of(
+                    mesh.faces, merged.ordered, merged.cluster, len(merged.kept), work.quadric_scale, work.device
+                ),
                 work.quadric_scale,
                 work.pinned,
                 work.place_settings,
