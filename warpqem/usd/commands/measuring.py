@@ -29,7 +29,7 @@ from warpqem.usd.write.stage_report import PrimReport, collapsed_note, name_prim
 __all__ = ["WrittenMeasures", "written_source", "written_within"]
 
 # Small meshes that are measured together: some 100 KB of samples each.
-MAX_TOGETHER = 32
+MAX_TOGETHER = 128
 
 
 @dataclass(frozen=True)
