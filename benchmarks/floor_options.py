@@ -129,6 +129,11 @@ _STREAMED: dict[str, tuple[tuple[str, float], ...]] = {
         ("misfit_in", 1),
         ("change_out", 1),
     ),
+    "turn_back": (
+        ("chart.corner_row", 1),
+        ("chart.sign", 1),
+        ("values", 1),
+    ),
     "start_solution": (
         ("unknowns.adjacency_start", 1),
         ("unknowns.adjacent_corner", 1),

@@ -147,7 +147,7 @@ def test_triangle_that_is_turned_over_is_mended_next_to_its_edge(plane):
     start = places.copy()
     start[apex] = foot - 1e-3 * (places[apex] - foot)
     signs = plane.signs(at_corners(plane).reshape(-1, 2))
-    found = turned_back(row, start, signs, lambda values: values)
+    found = turned_back(row, start, signs, np.full_like(start, -np.inf), np.full_like(start, np.inf))
     assert (face_signs(start[row]) * signs < 0).sum() == 1
     assert (face_signs(found[row]) * signs >= 0).all()
     assert np.abs(found - start).max() < 0.2 * np.linalg.norm(places[apex] - foot)
@@ -163,7 +163,7 @@ def test_triangles_that_are_turned_over_side_by_side_are_all_mended(plane, seed)
     start = places.copy()
     start[random.choice(inside, 3, replace=False)] += random.normal(scale=0.15, size=(3, 2))
     signs = plane.signs(at_corners(plane).reshape(-1, 2))
-    found = turned_back(row, start, signs, lambda values: np.clip(values, 0, 1))
+    found = turned_back(row, start, signs, np.zeros_like(start), np.ones_like(start))
     assert (face_signs(found[row]) * signs >= 0).all()
 
 

@@ -18,7 +18,7 @@ def looks(monkeypatch):
     """How often a mesh was looked at."""
     found, look = [], mended_topology._found_clean
     monkeypatch.setattr(mended_topology, "_found_clean", lambda *mesh: found.append(mesh) or look(*mesh))
-    mended_topology._remembered_clean.cache_clear()
+    monkeypatch.setattr(mended_topology, "_known_clean", {})
     return found
 
 
@@ -41,4 +41,12 @@ def test_large_meshes_are_not_held(looks, monkeypatch):
     for _ in range(2):
         repair_topology(FACES, COUNT, "cpu")
     assert len(looks) == 2
-    assert mended_topology._remembered_clean.cache_info().currsize == 0
+    assert not mended_topology._known_clean
+
+
+def test_no_more_meshes_are_known_than_there_is_room_for(looks, monkeypatch):
+    monkeypatch.setattr(mended_topology, "REMEMBERED_MESHES", 2)
+    for count in (COUNT, COUNT + 1, COUNT + 2, COUNT + 2, COUNT):
+        assert repair_topology(FACES, count, "cpu") is None
+    assert len(looks) == 4
+    assert len(mended_topology._known_clean) == 2

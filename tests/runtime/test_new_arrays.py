@@ -96,6 +96,31 @@ def test_rows_of_what_is_not_contiguous_are_left_to_warp():
     assert new_arrays.clone(columns).numpy().tolist() == columns.numpy().tolist()
 
 
+@pytest.mark.parametrize(("shape", "dtype", "first"), [((3, 8), None, 0), ((2, 3), wp.vec3, 3), ((4,), wp.int32, 20)])
+@pytest.mark.parametrize("by_warp", [False, True])
+def test_another_shape_is_of_the_same_memory(shape, dtype, first, by_warp, monkeypatch):
+    values = np.arange(24, dtype=np.float32).reshape(4, 6)
+    array = wp.array(values, dtype=wp.float32, device="cpu")
+    if by_warp:
+        # As on a device with memory of its own.
+        monkeypatch.setattr(new_arrays, "_is_quick", lambda device: False)
+    made = new_arrays.shaped(array, shape, dtype, first)
+    assert made.shape == shape
+    assert made.dtype is (dtype or wp.float32)
+    expected = values.ravel()[first:].view(np.int32 if dtype is wp.int32 else np.float32)
+    count = made.numpy().size
+    np.testing.assert_array_equal(made.numpy().ravel(), expected[:count])
+    made.zero_()
+    assert np.flatnonzero(array.numpy().ravel() != values.ravel()).tolist() == [
+        place for place in range(first, first + count) if place
+    ]
+
+
+def test_another_shape_beyond_the_memory_is_refused():
+    with pytest.raises((RuntimeError, ValueError)):
+        new_arrays.shaped(whole(), (5, 6))
+
+
 def test_rows_hold_the_memory():
     part, row = new_arrays.part(whole(), 1, 2), new_arrays.row(whole(), 1)
     gc.collect()

@@ -83,7 +83,7 @@ def fit_texture(faces: Ints, layout: ValueLayout, values: Floats, start: Floats,
     slid = _slide(outline, layout, values, start, signs)
     fitted = tiles.clip(fit_smooth_values(layout, values, slid, ~outline.on_seam))
     better = _where_better(layout, values, start, fitted)
-    return turned_back(layout.corner_row, better, signs, tiles.clip)
+    return turned_back(layout.corner_row, better, signs, tiles.lower, tiles.upper)
 
 
 def reference_signs(

@@ -7,10 +7,13 @@ for; then the next round looks again.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import numpy.typing as npt
+import warp as wp
+
+from warpqem.kernels import turned_triangles as kernels
+from warpqem.runtime import new_arrays
+from warpqem.runtime.launches import launch
 
 __all__ = ["areas_at", "turned_back"]
 
@@ -24,6 +27,7 @@ Signs = npt.NDArray[np.int8]
 MARGINS = (0.0003, 0.003, 0.01, 0.03, 0.1, 0.3)
 # Rounds with each. Of those that come right most do so in the first ten.
 ROUNDS = 60
+HOST = "cpu"
 
 
 def areas_at(values: Floats, rows: Ints) -> Floats:
@@ -38,80 +42,34 @@ def areas_at(values: Floats, rows: Ints) -> Floats:
     return found
 
 
-def turned_back(corner_row: Ints, values: Floats, signs: Signs, clip: Callable[[Floats], Floats]) -> Floats:
+def turned_back(corner_row: Ints, values: Floats, signs: Signs, lower: Floats, upper: Floats) -> Floats:
     """Values with fewer triangles that are turned over, if that can be done; never with more.
+
+    The host does it on any device: one small step hangs on the one before, of few triangles.
 
     Args:
         corner_row: (N', 3) int32, which of R values each corner has.
         values: (R, 2) float64.
         signs: (N',) which way each triangle is to turn; 0 for either.
-        clip: what keeps (R, 2) within where values may be.
+        lower: (R, 2) float64, the least that values may be.
+        upper: (R, 2) float64, the most.
     """
-    for margin in MARGINS:
-        turned = _is_turned(_written_areas(values, corner_row), signs)
-        if not turned.any():
-            break
-        values = _improved(corner_row, values, signs, turned, clip, margin)
-    return values
+    (face_count, _), row_count = corner_row.shape, len(values)
+    chart, rounds = kernels.Chart(), kernels.Rounds()
+    chart.corner_row, chart.sign = _given(corner_row, wp.int32), _given(signs, wp.int32)
+    chart.lower, chart.upper = _given(lower, wp.float64), _given(upper, wp.float64)
+    rounds.mark, rounds.asked = _zeros(row_count, wp.int32), _zeros(row_count, wp.int32)
+    rounds.watched, rounds.area = _zeros(face_count, wp.int32), _zeros(face_count, wp.float64)
+    rounds.trial, rounds.total = _zeros((row_count, 2), wp.float64), _zeros((row_count, 2), wp.float64)
+    changed = new_arrays.uploaded(values, dtype=wp.float64, device=HOST)
+    launch(kernels.turn_back, 1, [chart, _given(MARGINS, wp.float64), ROUNDS], [changed, rounds], device=HOST)
+    found: Floats = changed.numpy()
+    return found
 
 
-def _written_areas(values: Floats, rows: Ints) -> Floats:
-    """`areas_at` by the values as files hold them: rounding turns triangles over that are next to none."""
-    return areas_at(values.astype(np.float32).astype(np.float64), rows)
+def _given(values: npt.ArrayLike, dtype: type) -> wp.array:
+    return new_arrays.uploaded(values, dtype=dtype, device=HOST, copy=False)
 
 
-def _is_turned(areas: Floats, signs: Signs) -> npt.NDArray[np.bool_]:
-    return np.asarray(areas * signs < 0, dtype=bool)
-
-
-def _improved(
-    corner_row: Ints,
-    values: Floats,
-    signs: Signs,
-    turned: npt.NDArray[np.bool_],
-    clip: Callable[[Floats], Floats],
-    margin: float,
-) -> Floats:
-    """The best values of so many rounds with one margin."""
-    # Neighbours of turned triangles may have to move, too; what is further off stays.
-    beside = _faces_at(corner_row, corner_row[turned], len(values))
-    movable = np.zeros(len(values), dtype=bool)
-    movable[corner_row[beside]] = True
-    watched = corner_row[_faces_at(corner_row, np.flatnonzero(movable), len(values)) & (signs != 0)]
-    wanted = signs[movable[corner_row].any(axis=1) & (signs != 0)].astype(np.float64)
-    best, left, trial = values, int(turned.sum()), values
-    for _ in range(ROUNDS):
-        areas = wanted * _written_areas(trial, watched)
-        count = int((areas < 0).sum())
-        if count < left:
-            best, left = trial, count
-        # A triangle without area is next to one that is turned over.
-        flat = np.flatnonzero(areas <= 0)
-        if not len(flat):
-            break
-        rows = watched[flat]
-        corner = trial[rows]
-        opposite = corner.take((1, 2, 0), axis=1) - corner.take((2, 0, 1), axis=1)
-        turn = wanted[flat, None] * movable[rows]
-        gradient = np.empty_like(opposite)
-        np.multiply(opposite[:, :, 1], turn, out=gradient[:, :, 0])
-        np.multiply(-opposite[:, :, 0], turn, out=gradient[:, :, 1])
-        missing = margin * (opposite**2).sum(axis=2).max(axis=1) - areas[flat]
-        squared = (gradient**2).sum(axis=(1, 2))
-        share = np.divide(missing, squared, out=np.zeros_like(missing), where=squared > 0)
-        move, row = share[:, None, None] * gradient, rows.ravel()
-        if not move.any() and np.array_equal(clip(trial), trial):
-            # Nothing that may move puts any of them right.
-            break
-        asked, total = np.maximum(np.bincount(row, minlength=len(values)), 1), np.empty_like(trial)
-        for k in (0, 1):
-            np.divide(np.bincount(row, move[:, :, k].ravel(), len(values)), asked, out=total[:, k])
-        trial = clip(trial + total)
-    return best
-
-
-def _faces_at(corner_row: Ints, rows: npt.NDArray[np.integer], row_count: int) -> npt.NDArray[np.bool_]:
-    """Faces (N',) with one of some rows at a corner."""
-    chosen = np.zeros(row_count, dtype=bool)
-    chosen[rows] = True
-    return np.asarray(chosen[corner_row].any(axis=1), dtype=bool)
+def _zeros(shape: int | tuple[int, int], dtype: type) -> wp.array:
+    return new_arrays.zeros(shape, dtype=dtype, device=HOST)

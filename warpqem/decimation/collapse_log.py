@@ -201,7 +201,7 @@ def new_log(capacity: int, device: str) -> tuple[CollapseLog, wp.array]:
     for index, name in enumerate(_INTEGERS):
         setattr(log, name, new_arrays.row(rows, index))
     for index, name in enumerate(_NUMBERS, len(_INTEGERS)):
-        setattr(log, name, new_arrays.row(rows, index).view(wp.float32))
+        setattr(log, name, new_arrays.shaped(rows, (capacity,), wp.float32, first=index * capacity))
     return log, rows
 
 

@@ -12,6 +12,7 @@ import warp as wp
 from warpqem.frames.checked_frames import frame_bounds
 from warpqem.frames.stream import read_ahead
 from warpqem.kernels import frame_bounds as kernels
+from warpqem.runtime import new_arrays
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import launch
 from warpqem.runtime.staging import Uploads
@@ -20,10 +21,10 @@ __all__ = ["BoundsMeter", "DeviceSink", "HeldFrames", "device_blocks", "take_ver
 
 
 def to_device(points: np.ndarray | wp.array, device: str) -> wp.array:
-    """Points (n, V, 3) float32 as an array (n, V) of the device, or a view of them; or those there already."""
+    """Points (n, V, 3) float32 as an array (n, V) of the device, maybe a view of them; or those there already."""
     if isinstance(points, wp.array):
         return points
-    return wp.array(points, dtype=wp.vec3, device=device, copy=False)
+    return new_arrays.uploaded(points, dtype=wp.vec3, device=device, copy=False)
 
 
 def take_vertices(points: wp.array, vertex: wp.array) -> wp.array:

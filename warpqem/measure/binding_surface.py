@@ -13,6 +13,7 @@ from warpqem.measure.sampling import normals_and_areas, place
 from warpqem.measure.validity import unique_edges
 from warpqem.mesh.edges import edge_key
 from warpqem.place.cluster_rows import group_rows
+from warpqem.runtime import new_arrays
 from warpqem.runtime.launches import launch
 
 __all__ = [
@@ -61,9 +62,9 @@ def nearest_facing(
     """
     face_label, label = labels or (np.zeros(1, dtype=np.int64), np.full(len(query), -1))
     if mesh is None:
-        mesh = wp.Mesh(points=wp.array(points, dtype=wp.vec3, device=device), indices=corner_vertex)
-    face = wp.empty(len(query), dtype=wp.int32, device=device)
-    doubles = [wp.array(values, dtype=wp.vec3d, device=device) for values in (points, query, normal)]
+        mesh = wp.Mesh(points=new_arrays.uploaded(points, dtype=wp.vec3, device=device), indices=corner_vertex)
+    face = new_arrays.empty(len(query), dtype=wp.int32, device=device)
+    doubles = [new_arrays.uploaded(values, dtype=wp.vec3d, device=device) for values in (points, query, normal)]
     launch(
         find_facing,
         dim=len(query),
@@ -72,8 +73,8 @@ def nearest_facing(
             doubles[0],
             corner_vertex,
             *doubles[1:],
-            *(wp.array(values, dtype=wp.int32, device=device) for values in (face_label, label)),
-            *(wp.array(values, dtype=wp.float64, device=device) for values in (distance, reach)),
+            *(new_arrays.uploaded(values, dtype=wp.int32, device=device) for values in (face_label, label)),
+            *(new_arrays.uploaded(values, dtype=wp.float64, device=device) for values in (distance, reach)),
         ],
         outputs=[face],
         device=device,
@@ -106,8 +107,8 @@ def walk(
 ) -> tuple[Ints, Floats]:
     """Faces (S,) and barycentric coordinates (S, 3) downhill from start faces (S,) to queries (S, 3)."""
     device = corner_vertex.device
-    face = wp.empty(len(query), dtype=wp.int32, device=device)
-    barycentric = wp.zeros(len(query), dtype=wp.vec3d, device=device)
+    face = new_arrays.empty(len(query), dtype=wp.int32, device=device)
+    barycentric = new_arrays.zeros(len(query), dtype=wp.vec3d, device=device)
     launch(
         walk_surface,
         dim=len(query),
@@ -115,8 +116,8 @@ def walk(
             points,
             corner_vertex,
             *rings,
-            wp.array(start, dtype=wp.int32, device=device),
-            wp.array(query, dtype=wp.vec3d, device=device),
+            new_arrays.uploaded(start, dtype=wp.int32, device=device),
+            new_arrays.uploaded(query, dtype=wp.vec3d, device=device),
             steps,
         ],
         outputs=[face, barycentric],
@@ -129,7 +130,7 @@ def make_rings(corner_place: Ints, device: str) -> Rings:
     """The corners (3N,) around each corner's place, which is the number of a place from 0 on."""
     order, start = group_rows(corner_place, int(corner_place.max(initial=0)) + 1)
     arrays = (start[corner_place], start[corner_place + 1], order)
-    first, last, corner = (wp.array(values, dtype=wp.int32, device=device) for values in arrays)
+    first, last, corner = (new_arrays.uploaded(values, dtype=wp.int32, device=device) for values in arrays)
     return first, last, corner
 
 

@@ -10,6 +10,7 @@ import warp as wp
 
 from warpqem.errors import DegenerateMeshError
 from warpqem.kernels.closest_point import find_closest_points
+from warpqem.runtime import new_arrays
 from warpqem.runtime.launches import launch
 
 __all__ = ["Closest", "ClosestPointSearch"]
@@ -43,7 +44,7 @@ class ClosestPointSearch:
 
     def __init__(self, faces: npt.NDArray[np.int64], device: str, name: str) -> None:
         """Upload faces (N, 3); name is what messages call the mesh."""
-        self._indices = wp.array(faces.ravel(), dtype=wp.int32, device=device)
+        self._indices = new_arrays.uploaded(faces.ravel(), dtype=wp.int32, device=device)
         self._device = device
         self._name = name
         # The hierarchy of the points that were searched last.
@@ -59,15 +60,17 @@ class ClosestPointSearch:
             DegenerateMeshError: every face is a sliver, so there is nothing to search; the message names the frame.
         """
         device = self._device
-        exact_points = wp.array(points, dtype=wp.vec3d, device=device)
-        mesh = self.mesh = wp.Mesh(points=wp.array(points, dtype=wp.vec3, device=device), indices=self._indices)
-        distance = wp.zeros(len(queries), dtype=wp.float64, device=device)
-        face = wp.zeros(len(queries), dtype=wp.int32, device=device)
-        barycentric = wp.zeros(len(queries), dtype=wp.vec3d, device=device)
+        exact_points = new_arrays.uploaded(points, dtype=wp.vec3d, device=device)
+        mesh = self.mesh = wp.Mesh(
+            points=new_arrays.uploaded(points, dtype=wp.vec3, device=device), indices=self._indices
+        )
+        distance = new_arrays.zeros(len(queries), dtype=wp.float64, device=device)
+        face = new_arrays.zeros(len(queries), dtype=wp.int32, device=device)
+        barycentric = new_arrays.zeros(len(queries), dtype=wp.vec3d, device=device)
         launch(
             find_closest_points,
             dim=len(queries),
-            inputs=[mesh.id, exact_points, self._indices, wp.array(queries, dtype=wp.vec3d, device=device)],
+            inputs=[mesh.id, exact_points, self._indices, new_arrays.uploaded(queries, dtype=wp.vec3d, device=device)],
             outputs=[distance, face, barycentric],
             device=device,
         )

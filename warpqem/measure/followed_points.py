@@ -11,6 +11,7 @@ from warpqem.measure.checked_meshes import CheckedMesh
 from warpqem.measure.closest_points import ClosestPointSearch
 from warpqem.measure.coincidence import coincident
 from warpqem.measure.sampling import MaterialSamples, normals_and_areas, place
+from warpqem.runtime import new_arrays
 
 __all__ = ["Correspondence", "MovingMesh", "match_islands"]
 
@@ -48,20 +49,20 @@ class MovingMesh:
         self._centre, self._diagonal = centre, diagonal
         frames = np.unique(np.linspace(0, len(mesh.points) - 1, PLACE_FRAMES).round().astype(np.int64))
         self.place: Ints = coincident(mesh.points[frames])[mesh.faces]
-        self.corner_vertex = wp.array(mesh.faces.ravel(), dtype=wp.int32, device=device)
+        self.corner_vertex = new_arrays.uploaded(mesh.faces.ravel(), dtype=wp.int32, device=device)
         self._mesh: wp.Mesh | None = None
         self.show(0)
 
     def show(self, frame: int) -> None:
         """Go to a frame."""
         self.points: Floats = (self.mesh.points[frame].astype(np.float64) - self._centre[frame]) / self._diagonal[frame]
-        self.exact = wp.array(self.points, dtype=wp.vec3d, device=self.device)
+        self.exact = new_arrays.uploaded(self.points, dtype=wp.vec3d, device=self.device)
         self._is_fitted = False
 
     def hierarchy(self) -> wp.Mesh:
         """The hierarchy of the frame shown: built once, refitted in later frames in which it is asked for."""
         if not self._is_fitted:
-            single = wp.array(self.points, dtype=wp.vec3, device=self.device)
+            single = new_arrays.uploaded(self.points, dtype=wp.vec3, device=self.device)
             if self._mesh is None:
                 self._mesh = wp.Mesh(points=single, indices=self.corner_vertex)
             else:

@@ -183,11 +183,11 @@ class SampledFaces:
         launch_in_parts(
             kernels.points_of_faces[width_of(self.lanes)],
             (count, each, blocks),
-            [self.lanes, corners_of(corner_vertex), weights, rows_of(within.reshape((count, each)))],
+            [self.lanes, corners_of(corner_vertex), weights, rows_of(new_arrays.shaped(within, (count, each)))],
             [rows_of(points)],
             device=device,
         )
-        return points.reshape((-1, blocks))
+        return new_arrays.shaped(points, (each * count, blocks))
 
 
 @dataclass(frozen=True)

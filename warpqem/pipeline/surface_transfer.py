@@ -168,10 +168,10 @@ def _wedge_sources(
         kernels.find_wedge_sources,
         dim=len(placed),
         inputs=[
-            wp.array(start, device=device),
+            new_arrays.uploaded(start, dtype=wp.int32, device=device),
             new_arrays.uploaded(face, dtype=wp.int32, device=device),
             new_arrays.uploaded((placed - middle).astype(np.float32), dtype=wp.vec3, device=device),
-            wp.array(faces.ravel(), device=device),
+            new_arrays.uploaded(faces.ravel(), dtype=wp.int32, device=device),
             new_arrays.uploaded((pose - middle).astype(np.float32), dtype=wp.vec3, device=device),
         ],
         outputs=[source, weight],

@@ -107,9 +107,9 @@ class PlacedBlocks:
         rows = new_arrays.empty(
             size + (0 if number is None else len(number)), dtype=wp.float32, device=self.points.device
         )
-        self.restored(mesh, rows[:size].reshape(shape).view(wp.vec3))
+        self.restored(mesh, new_arrays.shaped(rows, shape[:2], wp.vec3))
         if number is not None:
-            wp.copy(rows[size:].view(wp.int32), number)
+            new_arrays.copy(new_arrays.shaped(rows, number.shape, wp.int32, first=size), number)
         return PointsUnderWay(downloads.begin(rows), shape)
 
     def restored(self, mesh: AnimatedMesh, out: wp.array | None = None) -> wp.array:

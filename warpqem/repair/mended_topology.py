@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import functools
+import hashlib
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +27,9 @@ HELD_SHARE = 0.002
 HELD_COUNT, HELD_SHARE_OF_FEW = 4, 0.01
 # Faces of meshes that are known again: up to so many, a look at the faces takes longer than to compare them.
 REMEMBERED_FACES = 20000
+# Meshes that are known again, until all are forgotten: many more than a stage reads before it simplifies the first one.
+REMEMBERED_MESHES = 1024
+_known_clean: dict[tuple[bytes, np.dtype, int, str], bool] = {}
 
 
 @dataclass(frozen=True)
@@ -133,13 +136,19 @@ def _is_clean(faces: np.ndarray, vertex_count: int, device: str) -> bool:
     """Whether the faces around each vertex are one fan, and no two faces have the same vertices."""
     if len(faces) > REMEMBERED_FACES or not device_traits(device).splits_launches:
         return _found_clean(faces, vertex_count, device)
-    return _remembered_clean(faces.tobytes(), faces.dtype, vertex_count, device)
+    return _remembered_clean(faces, vertex_count, device)
 
 
-@functools.lru_cache(maxsize=4)
-def _remembered_clean(faces: bytes, dtype: np.dtype, vertex_count: int, device: str) -> bool:
+def _remembered_clean(faces: np.ndarray, vertex_count: int, device: str) -> bool:
     """The same for a small mesh on a CPU, which is asked for when it is read, planned and simplified."""
-    return _found_clean(np.frombuffer(faces, dtype).reshape(-1, 3), vertex_count, device)
+    key = hashlib.blake2b(faces.tobytes(), digest_size=16).digest(), faces.dtype, vertex_count, device
+    known = _known_clean.get(key)
+    if known is None:
+        known = _found_clean(faces, vertex_count, device)
+        if len(_known_clean) >= REMEMBERED_MESHES:
+            _known_clean.clear()
+        _known_clean[key] = known
+    return known
 
 
 def _found_clean(faces: np.ndarray, vertex_count: int, device: str) -> bool:

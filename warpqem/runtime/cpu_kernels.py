@@ -72,7 +72,7 @@ BEST = (
     "distance_points.width_8",
 )
 MEASURED = ("surface_distance", "largest_distance", "distance_screen.width_8")
-VALUES = ("attribute_fit", "transfer", "surface_walk")
+VALUES = ("attribute_fit", "transfer", "surface_walk", "turned_triangles")
 # A CPU has other kernels for what these do, or the host does it.
 GPU_ONLY = ("shared_collapse", "softness", "large_faces", "face_lists")
 PREFIX = "warpqem.kernels."

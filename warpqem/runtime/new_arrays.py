@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import functools
+import math
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,7 +20,7 @@ import warp as wp
 
 from warpqem.runtime.device import device_traits
 
-__all__ = ["clone", "copy", "empty", "full", "like", "part", "row", "uploaded", "zeros"]
+__all__ = ["clone", "copy", "empty", "full", "like", "part", "row", "shaped", "uploaded", "zeros"]
 
 Shape = int | tuple[int, ...] | list[int]
 
@@ -191,3 +192,17 @@ def row(array: wp.array, index: int) -> wp.array:
     if not (array.is_contiguous and 0 <= index < shape[0] and array.size and _is_quick(array.device)):
         return array[index]
     return _form(array.dtype, shape[1:]).at(array.ptr + index * array.strides[0], array)
+
+
+def shaped(array: wp.array, shape: tuple[int, ...], dtype: Any = None, first: int = 0) -> wp.array:
+    """An array of another shape over the memory of a contiguous one, from its item ``first`` on.
+
+    Of another type, too, if ``dtype`` is given: one whose components are as large as the items.
+    """
+    kind = array.dtype if dtype is None else dtype
+    form, item = _form(kind, shape), array.strides[-1]
+    if form.size and item * first + form.size <= item * array.size and array.is_contiguous and _is_quick(array.device):
+        return form.at(array.ptr + item * first, array)
+    inner = () if kind is array.dtype else form.inner
+    some: wp.array = array.flatten()[first : first + math.prod(shape) * math.prod(inner)].reshape((*shape, *inner))
+    return some if kind is array.dtype else some.view(kind)

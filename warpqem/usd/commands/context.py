@@ -16,7 +16,10 @@ from warpqem.usd.commands.mesh_job import MeshJob
 from warpqem.usd.commands.simplify_options import SimplifyOptions
 from warpqem.usd.read.open_stage import MeshSelection
 
-__all__ = ["Announce", "Context", "Progress", "SharedOrder", "part_of"]
+__all__ = ["CORE_SHARE", "Announce", "Context", "Progress", "SharedOrder", "part_of"]
+
+# How much of a mesh's progress is the core's; the rest is for what is transferred, written and measured.
+CORE_SHARE = 0.7
 
 Progress = Callable[[float, str], None]
 Announce = Callable[[str, MemoryPlan], None]

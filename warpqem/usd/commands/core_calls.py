@@ -61,18 +61,17 @@ class CoreCalls:
         self,
         job: MeshJob,
         progress: Progress,
-        taker: PointSamples | SkinFitter,
+        taker: PointSamples | SkinFitter | None,
         target_faces: int | None,
         shared: SharedOrder | None,
         share: float = 1.0,
     ) -> warpqem.SimplifiedMesh:
-        """Simplify a mesh to a face count, within a share of the limits; ``taker`` gets its points in the poses."""
+        """Simplify a mesh to a face count, within a share of the limits; ``taker`` gets its points in poses."""
         sink: warpqem.FrameSink
         if isinstance(taker, SkinFitter):
             sink = taker
         else:
-            # Of a mesh with a skin the rest shape alone is written; it is the first frame.
-            sink = NoFrames() if job.skin is not None else LaterFrames(taker, job.pose_start)
+            sink = NoFrames() if taker is None else LaterFrames(taker, job.pose_start)
         seams = job.seams.hold()
         limits: dict[str, Any] = {name: part_of_limit(name, limit, share) for name, limit in self._limits(job).items()}
         if target_faces is None:
@@ -85,7 +84,7 @@ class CoreCalls:
         job: MeshJob,
         progress: Progress,
         fitter: SkinFitter | None,
-        samples: PointSamples,
+        samples: PointSamples | None,
         target_faces: int | None,
         shared: SharedOrder | None,
         others: set[str],
@@ -96,7 +95,7 @@ class CoreCalls:
             job: The mesh.
             progress: Called with the part done.
             fitter: What fits its skin; None for none.
-            samples: What gets its points where they are written in poses.
+            samples: What gets its points in poses, see `MeshJob.streams`; None where the result has them.
             target_faces: Faces to go down to; None for none.
             shared: What levels share.
             others: Names of blend shapes that other meshes take from the same animation.

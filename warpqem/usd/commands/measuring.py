@@ -26,10 +26,10 @@ from warpqem.usd.read.read_mesh import MeshSource, PoseFrames
 from warpqem.usd.read.skeleton_poses import StagePoses
 from warpqem.usd.write.stage_report import PrimReport, collapsed_note, name_prim
 
-__all__ = ["WrittenMeasures", "written_source", "written_within"]
+__all__ = ["MAX_TOGETHER", "WrittenMeasures", "written_source", "written_within"]
 
-# Small meshes that are measured together: some 100 KB of samples each.
-MAX_TOGETHER = 32
+# Small meshes of a group, which are measured together: some 500 KB each.
+MAX_TOGETHER = 128
 
 
 @dataclass(frozen=True)

@@ -193,6 +193,11 @@ class MeshJob:
         """Times of the points to write: those of the poses; None for the rest shape of a mesh with a skin."""
         return self.mesh.times if self.rest_fit is None else None
 
+    @property
+    def streams(self) -> bool:
+        """Whether poses are written while they are placed; a single one, and a rest shape, the result has."""
+        return self.skin is None and self.frames.frame_count > 1
+
     def is_simplified_by(self, result: SimplifiedMesh) -> bool:
         """Whether anything was removed."""
         return len(result.log) > 0 or len(result.faces) < len(self.mesh.faces)

@@ -11,6 +11,7 @@ from pxr import UsdGeom
 import warpqem
 from warpqem.arguments.distance_limit import DistanceLimit
 from warpqem.arguments.figures import rounded_up
+from warpqem.errors import WarpqemError
 from warpqem.runtime.thread_limit import limit_threads, thread_scope, worthwhile_threads
 from warpqem.usd.commands.context import Progress
 from warpqem.usd.commands.face_points import points_on_level
@@ -35,7 +36,7 @@ class MeshResult:
     Attributes:
         job: The mesh.
         mesh: What came of it.
-        samples: What has its points in the poses already, where these are written.
+        samples: What has its points in the poses already; None where the points of ``mesh`` are to be written.
         rig: Its skin and blend shapes.
         limit: How far it may be from the input.
         face: How the feature points of a face were kept; None for other cost models.
@@ -43,7 +44,7 @@ class MeshResult:
 
     job: MeshJob
     mesh: warpqem.SimplifiedMesh
-    samples: PointSamples
+    samples: PointSamples | None
     rig: Rig
     limit: DistanceLimit
     face: warpqem.face.FaceProtection | None
@@ -65,6 +66,24 @@ class MeshResult:
             progress: Called with the part done.
             measures: Measures it, a small one later, together with others.
         """
+        samples = self.samples
+        if samples is None:
+            samples = layer.point_samples(self.job.mesh.path, self.job.written_times, options.normals == "keep")
+        try:
+            self._write(samples, layer, report, options, progress, measures)
+        except WarpqemError:
+            samples.discard()
+            raise
+
+    def _write(
+        self,
+        samples: PointSamples,
+        layer: OverLayer,
+        report: PrimReport,
+        options: SimplifyOptions,
+        progress: Progress,
+        measures: WrittenMeasures,
+    ) -> None:
         job, mesh = self.job, self.mesh
         transfer = job.transfer(mesh, options.device)
         transfer.normals, transfer.shades_all = options.normals or "fit", options.normals == "fit"
@@ -73,19 +92,21 @@ class MeshResult:
         transfer.feature_points = points_on_level(job, self.face, mesh.vertex_map)
         skin = job.skin
         reduced = self.rig.shapes
+        points = mesh.points
         if skin is not None:
-            skin, rest = self._at_rest(skin)
+            skin, points = self._at_rest(skin)
             if job.rest_fit is not None:
-                transfer.reference = job.rest_fit.apply(rest[0])
-            self.samples.begin(1, mesh.points.shape[1], mesh.faces)
-            self.samples.write(slice(0, 1), rest)
-            if reduced is not None:
-                report.shapes = reduced.report
-                report.notes += reduced.notes
+                transfer.reference = job.rest_fit.apply(points[0])
+        if self.samples is None:
+            samples.begin(1, mesh.points.shape[1], mesh.faces)
+            samples.write(slice(0, 1), points)
+        if skin is not None and reduced is not None:
+            report.shapes = reduced.report
+            report.notes += reduced.notes
         with thread_scope():
             # On a small mesh other threads take longer to start than the work takes.
             limit_threads(worthwhile_threads(len(job.faces), job.frames.frame_count))
-            dropped = layer.replace_mesh(job.mesh.path, self.samples, job.written_times, mesh.faces, transfer, skin)
+            dropped = layer.replace_mesh(job.mesh.path, samples, job.written_times, mesh.faces, transfer, skin)
         if reduced is not None:
             undo = reduced.correct_animation(layer.stage, job.source)
             if undo is not None:

@@ -17,7 +17,7 @@ from warpqem.runtime.device import device_traits, resolve_device
 from warpqem.usd.checks.usd_errors import usd_errors_named
 from warpqem.usd.commands.attributes import check_names
 from warpqem.usd.commands.blend_shape_weights import check_morph
-from warpqem.usd.commands.context import Context, Progress, SharedOrder, part_of
+from warpqem.usd.commands.context import CORE_SHARE, Context, Progress, SharedOrder, part_of
 from warpqem.usd.commands.core_calls import CoreCalls
 from warpqem.usd.commands.face_points import FacePoints
 from warpqem.usd.commands.kept_mesh import wanted_changes
@@ -26,6 +26,7 @@ from warpqem.usd.commands.mesh_job import MeshJob
 from warpqem.usd.commands.mesh_result import MeshResult
 from warpqem.usd.commands.rig_left import changes_left
 from warpqem.usd.commands.rig_options import single
+from warpqem.usd.commands.small_meshes import simplify_in_groups
 from warpqem.usd.commands.stage_budget import simplify_to_budget
 from warpqem.usd.commands.varying import simplify_runs
 from warpqem.usd.commands.weights import check_weight_primvar
@@ -53,8 +54,6 @@ STEPS = {
 }
 # Why a mesh is kept as it is.
 NO_MORE_FACES = "the mesh has no more faces than asked for"
-# How much of a mesh's progress is the core's; the rest is for what is transferred, written and measured.
-CORE_SHARE = 0.7
 
 Result = TypeVar("Result")
 
@@ -92,8 +91,7 @@ class Run:
         if prims and device_traits(device).splits_launches:
             compile_needed(self.options.refits, self.options.measure)
         if self.options.faces is None:
-            for index, prim in enumerate(prims):
-                self.simplify_one(prim, self.part(index / len(prims), 1 / len(prims), prim))
+            simplify_in_groups(self, prims)
         else:
             simplify_to_budget(self, prims, self.options.faces)
         self.finish()
@@ -134,9 +132,11 @@ class Run:
             self.reports[path] = PrimReport(path, "kept", message=f"no geometry: no value of {lacking}")
         return heirs_first(selection.prims)
 
-    def simplify_one(self, prim: Usd.Prim, progress: Progress, shared: SharedOrder | None = None) -> None:
-        """Simplify one mesh into the layer."""
-        self.guarded(self._simplify_prim, prim, progress, None, shared)
+    def simplify_one(
+        self, prim: Usd.Prim, progress: Progress, shared: SharedOrder | None = None, job: MeshJob | None = None
+    ) -> None:
+        """Simplify one mesh into the layer; ``job`` is it where it has been read."""
+        self.guarded(self._simplify_prim, prim, progress, None, shared, job)
 
     def part(self, start: float, share: float, prim: Usd.Prim, level: str = "") -> Progress:
         """Progress of one mesh as a part of the whole."""
@@ -203,7 +203,13 @@ class Run:
         if self.options.strict:
             raise StageError(message) from error
 
-    def _prepare(self, prim: Usd.Prim, shared: SharedOrder | None = None) -> MeshJob:
+    def read(self, prim: Usd.Prim, shared: SharedOrder | None = None) -> MeshJob:
+        """Read a mesh; levels share what the first of them has read.
+
+        Raises:
+            VaryingTopologyError: it has several topologies.
+            WarpqemError: it cannot be read.
+        """
         job = None if shared is None else shared.job
         if job is None:
             with usd_errors_named(prim.GetPath(), reading=True):
@@ -243,7 +249,7 @@ class Run:
         Returns:
             The mesh, and its ordering or result; None for a mesh that has no more faces.
         """
-        job = self._prepare(prim, shared)
+        job = self.read(prim, shared)
         if len(job.mesh.faces) <= least:
             return job, None
         return job, self.core.try_out(job, progress, shared, least)
@@ -263,10 +269,15 @@ class Run:
             self.simplify_constant(prim, progress, targets[0], shared)
 
     def _simplify_prim(
-        self, prim: Usd.Prim, progress: Progress, target_faces: int | None, shared: SharedOrder | None = None
+        self,
+        prim: Usd.Prim,
+        progress: Progress,
+        target_faces: int | None,
+        shared: SharedOrder | None = None,
+        job: MeshJob | None = None,
     ) -> None:
         try:
-            self.simplify_constant(prim, progress, target_faces, shared)
+            self.simplify_constant(prim, progress, target_faces, shared, job)
         except VaryingTopologyError:
             if self.refuses_runs(prim):
                 raise
@@ -278,20 +289,37 @@ class Run:
         return self.options.varying_topology == "refuse" or self.poses.poser(prim) is not None
 
     def simplify_constant(
-        self, prim: Usd.Prim, progress: Progress, target_faces: int | None, shared: SharedOrder | None = None
+        self,
+        prim: Usd.Prim,
+        progress: Progress,
+        target_faces: int | None,
+        shared: SharedOrder | None = None,
+        job: MeshJob | None = None,
     ) -> None:
-        """Simplify a mesh with one topology into the layer.
+        """Simplify a mesh with one topology into the layer; ``job`` is it where it has been read.
 
         Raises:
             VaryingTopologyError: it has several.
             WarpqemError: it cannot be done.
         """
-        job = self._prepare(prim, shared)
+        job = self.read(prim, shared) if job is None else job
+        result = self.simplify_read(job, part_of(progress, 0.0, CORE_SHARE), target_faces, shared)
+        if result is not None:
+            self.write(result, part_of(progress, CORE_SHARE, 1.0 - CORE_SHARE))
+
+    def simplify_read(
+        self, job: MeshJob, progress: Progress, target_faces: int | None = None, shared: SharedOrder | None = None
+    ) -> MeshResult | None:
+        """Simplify a mesh that has been read: what is to be written; None for one that stays as it is.
+
+        Raises:
+            WarpqemError: it cannot be done.
+        """
         report = self.reports[job.mesh.path]
         face_count = len(job.mesh.faces)
         if not face_count:
             report.status, report.message = "kept", "the mesh has no faces"
-            return
+            return None
         if target_faces is None and self.options.ratio is not None:
             least = 1 if self.options.size_limit is None else MIN_FACES
             target_faces = max(target_count(self.options.ratio, face_count), least)
@@ -299,43 +327,52 @@ class Run:
         if target_faces is not None and target_faces >= face_count:
             if not wanted:
                 self._keep(report, NO_MORE_FACES)
-                return
+                return None
             target_faces = face_count
         fitter = self.core.fitter(job)
-        with_normals = self.options.normals == "keep"
-        samples = self.layer.point_samples(job.mesh.path, job.written_times, with_normals)
+        samples = None
+        if job.streams:
+            samples = self.layer.point_samples(job.mesh.path, job.written_times, self.options.normals == "keep")
         try:
             with usd_errors_named(job.mesh.path):
-                core = part_of(progress, 0.0, CORE_SHARE)
-                others = self.poses.shapes_of_others(prim) if self.options.reduces_shapes else set()
-                done = self.core.simplify_with_rig(job, core, fitter, samples, target_faces, shared, others)
-            result, wanted = done.mesh, changes_left(wanted, done.rig)
-            report.stopped = result.stopped
-            if wanted and not job.is_simplified_by(result):
-                names = ", ".join(wanted)
-                report.notes.append(f"{job.mesh.path}: keeps its faces, and is written as triangles for {names}")
-            if wanted or job.is_simplified_by(result):
-                progress(CORE_SHARE, "write")
-                limit = self.core.distance_limit(job)
-                written = MeshResult(job, result, samples, done.rig, limit, self.core.face(job))
-                if done.rig.fitted is not None:
-                    report.joints = done.rig.fitted.joints
-                rest = part_of(progress, CORE_SHARE, 1.0 - CORE_SHARE)
-                written.write(self.layer, report, self.options, rest, self._measures)
-                report.dropped += job.seams.released(job.faces, result.face_map)
-                return
-            message = f"nothing could be removed ({report.stopped})"
-            if report.stopped == "max_size_error":
-                message = self.kept_whole
-            elif report.stopped == "target":
-                message = NO_MORE_FACES
-            elif report.stopped == "max_error":
-                message = f"nothing could be removed within {self.core.distance_limit(job)}"
-            self._keep(report, message)
+                others = self.poses.shapes_of_others(job.source.prim) if self.options.reduces_shapes else set()
+                done = self.core.simplify_with_rig(job, progress, fitter, samples, target_faces, shared, others)
         except WarpqemError:
-            samples.discard()
+            if samples is not None:
+                samples.discard()
             raise
-        samples.discard()
+        result, wanted = done.mesh, changes_left(wanted, done.rig)
+        report.stopped = result.stopped
+        if wanted and not job.is_simplified_by(result):
+            names = ", ".join(wanted)
+            report.notes.append(f"{job.mesh.path}: keeps its faces, and is written as triangles for {names}")
+        if wanted or job.is_simplified_by(result):
+            return MeshResult(job, result, samples, done.rig, self.core.distance_limit(job), self.core.face(job))
+        message = f"nothing could be removed ({report.stopped})"
+        if report.stopped == "max_size_error":
+            message = self.kept_whole
+        elif report.stopped == "target":
+            message = NO_MORE_FACES
+        elif report.stopped == "max_error":
+            message = f"nothing could be removed within {self.core.distance_limit(job)}"
+        self._keep(report, message)
+        if samples is not None:
+            samples.discard()
+        return None
+
+    def write(self, result: MeshResult, progress: Progress) -> None:
+        """Write a simplified mesh into the layer.
+
+        Raises:
+            WarpqemError: it cannot be written.
+        """
+        job, report = result.job, self.reports[result.job.mesh.path]
+        progress(0.0, "write")
+        if result.rig.fitted is not None:
+            report.joints = result.rig.fitted.joints
+        with usd_errors_named(job.mesh.path):
+            result.write(self.layer, report, self.options, progress, self._measures)
+            report.dropped += job.seams.released(job.faces, result.mesh.face_map)
 
     def _keep(self, report: PrimReport, message: str) -> None:
         """Leave a mesh as it is."""
