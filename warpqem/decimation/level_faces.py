@@ -9,12 +9,12 @@ import numpy.typing as npt
 
 from warpqem.decimation.decimate import DecimatedMesh
 from warpqem.decimation.pruning import DropRecord
-from warpqem.mesh.grouping import any_corner
+from warpqem.mesh.grouping import faces_where
 
 __all__ = ["LevelFaces"]
 
-# Faces, and vertices, that are looked at at once: new memory for all of them takes longer than the rest.
-FACES_AT_ONCE, VERTICES_AT_ONCE = 8192, 2048
+# Vertices whose faces are looked at at once: new memory for all of them takes longer than the rest.
+VERTICES_AT_ONCE = 2048
 
 
 class LevelFaces:
@@ -79,7 +79,7 @@ class LevelFaces:
 
     def _renew(self, apart: npt.NDArray[np.integer], is_open: npt.NDArray[np.bool_], root: np.ndarray) -> None:
         """Renew the list where clusters changed that went by some vertices, (V,) bool, and vertices (n,) parted."""
-        row = self._rows_at(is_open)
+        row = faces_where(self._faces, is_open.take)
         self._count_corners(self._faces.take(row, axis=0), -1)
         corner_root, stays = self._looked_at(self._face_map.take(row), root)
         gone, on = row[~stays], corner_root[stays]
@@ -92,14 +92,6 @@ class LevelFaces:
         faces = self._faces.copy()
         faces[row[stays]] = on
         self._faces = self._exchanged(faces, gone, added, new) if len(gone) or len(added) else faces
-
-    def _rows_at(self, is_open: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
-        """The rows of the list with a corner at one of some vertices, (V,) bool."""
-        has = np.empty(len(self._faces), dtype=bool)
-        for first in range(0, len(has), FACES_AT_ONCE):
-            part = slice(first, first + FACES_AT_ONCE)
-            has[part] = any_corner(is_open.take(self._faces[part]))
-        return np.flatnonzero(has)
 
     def _looked_at(
         self, face: npt.NDArray[np.integer], root: np.ndarray

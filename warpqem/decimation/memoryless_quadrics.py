@@ -22,7 +22,7 @@ from warpqem.kernels import memoryless_quadric as kernels
 from warpqem.kernels.lanes import width_of
 from warpqem.kernels.mesh_state import KEY_FRAMES, MeshState
 from warpqem.kernels.topology import BORDER, SEAM
-from warpqem.mesh.grouping import any_corner
+from warpqem.mesh.grouping import faces_where
 from warpqem.mesh.seams import half_edge_ends, image_marks
 from warpqem.runtime import new_arrays
 from warpqem.runtime.ahead import done_ahead
@@ -71,10 +71,9 @@ class MemorylessQuadrics:
         ordered, device = self._ordered, position.device
         is_wanted = np.zeros(len(root), dtype=bool)
         is_wanted[wanted] = True
-        corner_row = ordered.row.take(faces)
         # A quadric needs no faces but those at its vertex.
-        near = np.flatnonzero(any_corner(is_wanted.take(corner_row)))
-        corner_row = corner_row[near]
+        near = faces_where(faces, lambda corner: is_wanted.take(ordered.row.take(corner)))
+        corner_row = ordered.row.take(faces.take(near, axis=0))
         if self._place is not None:
             # As ordering had them, so that the adjacency lists corners in the same order.
             corner_row = corner_row[np.argsort(self._place().take(face_map[near]))]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import numpy.typing as npt
 
-from warpqem.mesh.indexing import put_at, taken
+from warpqem.mesh.indexing import AT_ONCE, put_at, taken
 
-__all__ = ["any_corner", "different", "order_by", "ranks"]
+__all__ = ["any_corner", "different", "faces_where", "order_by", "ranks"]
 
 # NumPy sorts numbers of so many bits by counting them.
 COUNTED_BITS = 16
@@ -18,6 +20,24 @@ def any_corner(at_corner: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
     found: npt.NDArray[np.bool_] = at_corner[:, 0] | at_corner[:, 1]
     found |= at_corner[:, 2]
     return found
+
+
+def faces_where(
+    faces: npt.NDArray[np.integer], holds: Callable[[npt.NDArray[np.integer]], npt.NDArray[np.bool_]]
+) -> npt.NDArray[np.int64]:
+    """The faces (N, 3) with a corner of which something holds, ascending.
+
+    Some thousands are looked at at a time: new memory for all of them takes longer than the rest.
+
+    Args:
+        faces: (N, 3) int.
+        holds: gives (n, 3) bool for corners (n, 3).
+    """
+    found = np.empty(len(faces), dtype=bool)
+    for first in range(0, len(faces), AT_ONCE):
+        part = slice(first, first + AT_ONCE)
+        found[part] = any_corner(holds(faces[part]))
+    return np.flatnonzero(found)
 
 
 def different(number: npt.NDArray[np.integer], count: int) -> npt.NDArray[np.int64]:

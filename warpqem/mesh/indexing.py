@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["put_at", "taken"]
+__all__ = ["AT_ONCE", "put_at", "taken"]
 
 # Numbers that are widened at once: they stay in the cache.
 AT_ONCE = 8192

@@ -13,7 +13,6 @@ from typing import Any
 
 import warp as wp
 
-from warpqem.runtime import new_arrays
 from warpqem.runtime.cpu_threads import launch_parts, part_count
 from warpqem.runtime.launches import launch
 
@@ -37,7 +36,7 @@ FIRST_ITEM = PerPart(lambda part: part.start)
 
 def rows_of(array: wp.array) -> PerPart:
     """The part's own rows of an array (n, ...) of n items."""
-    return PerPart(lambda part: array if _is_whole(part, len(array)) else new_arrays.part(array, part.start, part.stop))
+    return PerPart(lambda part: array if _is_whole(part, len(array)) else array[part])
 
 
 def columns_of(array: wp.array) -> PerPart:
