@@ -23,8 +23,8 @@ from warpqem.runtime.native_programs import NativeRecorder
 
 __all__ = ["SmallOrderer"]
 
-# Faces, times blocks of key frames, up to which a mesh is small: all of its passes take a fraction of a second, so
-# nobody waits for progress or to interrupt it, and one thread does them as it is.
+# Faces, times blocks of key frames, up to which a mesh is small: all of its passes take half a second at most, a second
+# beside other work, so nobody waits for progress or to interrupt it, and one thread does them as it is.
 SMALL_FACES = 2**18
 
 
