@@ -200,9 +200,10 @@ def shaped(array: wp.array, shape: tuple[int, ...], dtype: Any = None, first: in
     Of another type, too, if ``dtype`` is given: one whose components are as large as the items.
     """
     kind = array.dtype if dtype is None else dtype
-    form, item = _form(kind, shape), array.strides[-1]
-    if form.size and item * first + form.size <= item * array.size and array.is_contiguous and _is_quick(array.device):
-        return form.at(array.ptr + item * first, array)
-    inner = () if kind is array.dtype else form.inner
+    if array.is_contiguous and _is_quick(array.device):
+        form, item = _form(kind, shape), array.strides[-1]
+        if form.size and item * first + form.size <= item * array.size:
+            return form.at(array.ptr + item * first, array)
+    inner = () if kind is array.dtype else getattr(kind, "_shape_", ())
     some: wp.array = array.flatten()[first : first + math.prod(shape) * math.prod(inner)].reshape((*shape, *inner))
     return some if kind is array.dtype else some.view(kind)
