@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
-from benchmarks.demand import INT, POINT, VALENCE, Arguments, Demand, size_of
+from benchmarks.demand import INT, POINT, VALENCE, Arguments, Demand, frames_of, size_of
 
 __all__ = ["PREPARATION_MODELS"]
 
@@ -18,11 +18,19 @@ def _begin_members(a: Arguments) -> Demand:
     return Demand(a["members"].following.size * 2 * INT)
 
 
+def _measure_faces(a: Arguments) -> Demand:
+    # Corners of the faces, points of their vertices, half as many; sizes and edges written.
+    faces, frames = len(a["size_out"]), frames_of(a["position_in"])
+    points = faces / 2 * frames * POINT
+    written = size_of(a["size_out"]) + size_of(a["longest_out"])
+    return Demand(size_of(a["corner_vertex_in"]) + points + written, faces * frames * AREA_FLOPS)
+
+
 def _measure_members(a: Arguments) -> Demand:
-    vertices, corners, keys = a["members"].following.size, a["corner_vertex_in"], a["key_count"]
-    # Corners and the lists of them; points, list, area and reach of each vertex.
-    flops = vertices * keys * VALENCE * AREA_FLOPS
-    return Demand(2 * size_of(corners) + vertices * (keys * POINT + 4 * INT), flops)
+    # The faces at each vertex; its list, point, areas and reach.
+    vertices = a["members"].following.size
+    read = size_of(a["size_in"]) + size_of(a["longest_in"]) + vertices * VALENCE * INT
+    return Demand(read + vertices * (6 * INT + POINT))
 
 
 # Arrays that a kernel reads or writes, and how many times.
@@ -81,6 +89,7 @@ def _key_vertices(a: Arguments) -> Demand:
 PREPARATION_MODELS: dict[str, Callable[[Arguments], Demand]] = {
     **{kernel: partial(_streamed, kernel) for kernel in _STREAMED},
     "begin_members": _begin_members,
+    "measure_faces": _measure_faces,
     "measure_members": _measure_members,
     "measure_components": _measure_components,
     "find_unclean_vertices": _find_unclean_vertices,

@@ -72,10 +72,11 @@ def longest_pose(frames: AnyKeyFrames, model: CostModel, u: wp.int32, v: wp.int3
         d = frames.position[v, t] - frames.position[u, t]
         length = lane_dot(d, d)
         total += lane_sum(length)
-        for k in range(len(length)):
-            if length[k] > longest:
-                longest = length[k]
-                found.frame = t * len(length) + k
+        if wp.max(length) > longest:
+            for k in range(len(length)):
+                if length[k] > longest:
+                    longest = length[k]
+                    found.frame = t * len(length) + k
     if found.frame > 0:
         found.share = total / (model.key_count * longest)
     return found

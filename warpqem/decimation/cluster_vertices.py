@@ -10,7 +10,7 @@ from warpqem.kernels.lanes import width_of
 from warpqem.kernels.mesh_state import Members
 from warpqem.runtime import new_arrays
 from warpqem.runtime.launches import launch
-from warpqem.runtime.part_launches import FIRST_ITEM, launch_in_parts
+from warpqem.runtime.part_launches import FIRST_ITEM, corners_of, launch_in_parts, rows_of
 
 __all__ = ["build_members"]
 
@@ -31,7 +31,13 @@ def build_members(corner_vertex: wp.array, adjacency: Adjacency, key_position: w
     members.first_point = new_arrays.empty(vertex_count, dtype=wp.vec3, device=device)
     members.following, members.last = (new_arrays.empty(vertex_count, dtype=wp.int32, device=device) for _ in range(2))
     launch(kernels.begin_members, vertex_count, [], [members], device=device)
-    inputs = [key_position, key_count, corner_vertex, adjacency.lists, FIRST_ITEM]
+    face_count = len(corner_vertex) // 3
+    size = new_arrays.empty((face_count, 2), dtype=wp.float64, device=device)
+    longest = new_arrays.empty((face_count, 2), dtype=wp.float32, device=device)
+    of_faces = kernels.measure_faces[width_of(key_position)]
+    outputs = [rows_of(size), rows_of(longest)]
+    launch_in_parts(of_faces, face_count, [key_position, corners_of(corner_vertex)], outputs, device=device)
+    inputs = [key_position, key_count, size, longest, adjacency.lists, FIRST_ITEM]
     measure = kernels.measure_members[width_of(key_position)]
     launch_in_parts(measure, vertex_count, inputs, [members], device=device)
     return members

@@ -71,12 +71,14 @@ class KeyFrameChoice:
         distance = np.full(frame_count, -np.inf)
         distance[self._counted] = np.inf
         chosen = [int(self._counted[0])]
+        squares = np.empty_like(self._poses[:FRAMES_AT_ONCE])
         while len(chosen) < self._count:
             last = self._poses[chosen[-1]]
             for first in range(0, frame_count, FRAMES_AT_ONCE):
                 block = slice(first, first + FRAMES_AT_ONCE)
-                away = ((self._poses[block] - last) ** 2).sum(axis=(1, 2))
-                distance[block] = np.minimum(distance[block], away)
+                poses = self._poses[block]
+                away = np.square(np.subtract(poses, last, out=squares[: len(poses)]), out=squares[: len(poses)])
+                distance[block] = np.minimum(distance[block], away.sum(axis=(1, 2)))
             chosen.append(int(distance.argmax()))
         # A repeated frame (a still animation) adds nothing.
         return np.unique(chosen)
