@@ -77,10 +77,13 @@ class ClusterStates:
     """
 
     def __init__(
-        self, input_faces: np.ndarray, ordered: DecimatedMesh, forest: CollapseForest,
+        self,
+        input_faces: np.ndarray,
+        ordered: DecimatedMesh,
+        forest: CollapseForest,
         faces_at: Callable[[np.ndarray], np.ndarray],
         counts: RootCounts | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._input_faces, self._faces_at, self._counts = input_faces, faces_at, counts
         self._ordered, self._forest = ordered, forest
         self._ahead: tuple[Cut, Callable[[], _Topology]] | None = None

@@ -102,9 +102,14 @@ class LevelFrames:
     """
 
     def __init__(
-        self, work: Prepared, around: FacesAround, about: np.ndarray, own: np.ndarray, units: UnitFrames,
+        self,
+        work: Prepared,
+        around: FacesAround,
+        about: np.ndarray,
+        own: np.ndarray,
+        units: UnitFrames,
         parts: LevelParts | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._parts = parts
         self._work, self._around, self._about = work, around, to_device(about, work.device)
         self._packed = pack_block(work.mesh, self._about, work.device)

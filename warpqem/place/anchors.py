@@ -68,9 +68,14 @@ class Clusters:
 
     @classmethod
     def known(
-        cls, cluster: wp.array, line_rank: wp.array, size: np.ndarray, owner: np.ndarray, rank: np.ndarray,
+        cls,
+        cluster: wp.array,
+        line_rank: wp.array,
+        size: np.ndarray,
+        owner: np.ndarray,
+        rank: np.ndarray,
         row: wp.array | None = None,
-    ) -> Clusters:  # fmt: skip
+    ) -> Clusters:
         """Those of vertices on a device.
 
         Args:

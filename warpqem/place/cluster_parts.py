@@ -47,9 +47,14 @@ class ClusterParts:
 
     @classmethod
     def of(
-        cls, faces: np.ndarray, ordered: DecimatedMesh, cluster: np.ndarray, cluster_count: int,
-        quadric_scale: np.ndarray, device: str,
-    ) -> ClusterParts:  # fmt: skip
+        cls,
+        faces: np.ndarray,
+        ordered: DecimatedMesh,
+        cluster: np.ndarray,
+        cluster_count: int,
+        quadric_scale: np.ndarray,
+        device: str,
+    ) -> ClusterParts:
         """Those of clusters of which the host knows the vertices.
 
         Args:
@@ -83,9 +88,14 @@ class LevelParts:
     """
 
     def __init__(
-        self, faces: np.ndarray, corner_vertex: wp.array, ordered: DecimatedMesh, quadric_scale: np.ndarray,
-        counts: Callable[[np.ndarray], tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]], device: str,
-    ) -> None:  # fmt: skip
+        self,
+        faces: np.ndarray,
+        corner_vertex: wp.array,
+        ordered: DecimatedMesh,
+        quadric_scale: np.ndarray,
+        counts: Callable[[np.ndarray], tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]],
+        device: str,
+    ) -> None:
         self._faces, self._corner_vertex, self._counts, self._device = faces, corner_vertex, counts, device
         self._row, self._line_rank = (
             new_arrays.uploaded(values, dtype=wp.int32, device=device) for values in (ordered.row, ordered.line_rank)
